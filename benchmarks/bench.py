@@ -1,11 +1,11 @@
 """Does the training step, the index or the reply of a drive take 10 % more time than in an earlier version?
 
 python benchmarks/bench.py                  # make bench, five minutes; exit code 1 if something takes longer
-python benchmarks/bench.py --base COMMIT    # the version to compare with; else that of bench_base.txt
+python benchmarks/bench.py --base COMMIT    # the version to compare with; by default that of bench_base.txt
 
 Both versions do the same work at the same time on the same core. The scheduler changes between them every few
 milliseconds, so other programs slow both alike. A ratio is the median of all rounds, with the interval (95 %) of
-the sign test. What looks slower is measured again. Only processor time counts, on one thread. Needs Linux.
+the sign test. Figures that look slower are measured again. Only processor time on one thread counts. Needs Linux.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from model.training.step import training_step
 from simulator.protocol.client import SimulatorClient
 
 ROOT: Final = Path(__file__).parents[1]
-LIMIT: Final = 1.06  # for the lower bound of a ratio: intervals reach 2 % below it, and 1.10 is to be found
-STARTS: Final = 4  # of each version's process, on the cores in turn
+LIMIT: Final = 1.06  # for the lower bound of a ratio: intervals reach 2 % below a ratio, and 1.10 must be detected
+STARTS: Final = 4  # of each version's process, on alternating cores
 WARM_UP: Final = 3  # rounds after each start: the first training steps wait for memory
 ROUNDS: Final = 8
 SAMPLES, INDEXES, REPLIES = 32, 4, 40  # in a round
@@ -51,7 +51,7 @@ ROWS: Final = 2_000  # of the log that is indexed
 
 
 def training(*_: object) -> Iterator[float]:
-    """The default network learns random pictures in memory; samples per second."""
+    """Train the default network on random pictures in memory. Yields samples per second."""
     config = TrainConfig(device="cpu")
     dtype = choose_machine(config).dtype
     network = SteeringNetwork(config.dropout).train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -65,7 +65,7 @@ def training(*_: object) -> Iterator[float]:
 
 
 def indexing(inputs: Path, scratch: Path, _: object) -> Iterator[float]:
-    """A log of three cameras is indexed anew, with balanced samples; rows per second."""
+    """Index a log of three cameras, with balanced samples. Yields rows per second."""
     log = write_log(inputs, ROWS, 0)
     numbers = itertools.count()
     while True:
@@ -76,7 +76,8 @@ def indexing(inputs: Path, scratch: Path, _: object) -> Iterator[float]:
 
 
 def replying(inputs: Path, scratch: Path, stack: ExitStack) -> Iterator[float]:
-    """`bc-drive` with the default network answers a client with one telemetry in flight; replies per second."""
+    """Let `bc-drive` with the default network answer a client with one message in flight. Yields replies per
+    second."""
     from driving import untrained_run  # tests/helpers/driving.py
 
     if not any(inputs.glob("*.jpg")):
@@ -99,7 +100,7 @@ FIGURES: Final[dict[str, Callable[[Path, Path, ExitStack], Iterator[float]]]] = 
 
 
 def serve(inputs: Path) -> None:
-    """Do a round of each figure that stdin names, and print what was done per second of processor time."""
+    """Do a round of each figure that stdin names, and print its rate per second of processor time."""
     inputs.mkdir(exist_ok=True)
     works: dict[str, Iterator[float]] = {}
     with tempfile.TemporaryDirectory(dir=inputs) as scratch, ExitStack() as stack:
@@ -110,7 +111,7 @@ def serve(inputs: Path) -> None:
 
 
 def check_out(commit: str, folder: Path) -> None:
-    """Put the files of a commit into a folder."""
+    """Write the files of a commit to a folder."""
     line = ["git", "-C", str(ROOT), "archive", f"--output={folder}.tar", commit]
     if subprocess.run(line, check=False).returncode:
         raise SystemExit(f"{commit} is not in this clone: run `git fetch --unshallow`, or give --base COMMIT")
@@ -119,20 +120,20 @@ def check_out(commit: str, folder: Path) -> None:
 
 
 def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.Popen[str]:
-    """A process that works with the version in `tree`, and ends with `stack`."""
-    script = tree / "benchmarks" / "bench.py"  # it knows how to call its version
+    """Start a process that works with the version in `tree`, and ends with `stack`."""
+    script = tree / "benchmarks" / "bench.py"  # each version's own script knows how to call it
     if "--serve" not in script.read_text(encoding="utf-8"):
-        script = Path(__file__)  # before 2026-11-27
+        script = Path(__file__)  # for versions before 2026-11-27
     path = {"PYTHONPATH": f"{tree}{os.pathsep}{tree / 'tests' / 'helpers'}"}
     fixed = {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "THP_MEM_ALLOC_ENABLE": "1"}  # its pages: bc-train's
     process = subprocess.Popen(
         [sys.executable, script, "--serve", inputs],
-        cwd=inputs.parent,  # else `python -c`, which starts the server, imports from here
+        cwd=inputs.parent,  # else `python -c`, which starts the server, imports from the current folder
         env={**os.environ, **path, **fixed},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        start_new_session=True,  # Ctrl-C ends only this process, which ends that one
+        start_new_session=True,  # Ctrl-C reaches only this process, which ends the others
     )
     stack.callback(process.wait)
     stack.callback(process.terminate)
@@ -141,7 +142,7 @@ def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.P
 
 
 def work(processes: Sequence[subprocess.Popen[str]], figure: str) -> list[float]:
-    """Let all work at the same time; their rates, per second of processor time."""
+    """Let all processes work at the same time. Returns their rates per second of processor time."""
     for process in processes:
         print(figure, file=process.stdin, flush=True)
     answers = [process.stdout.readline() if process.stdout else "" for process in processes]
@@ -151,7 +152,7 @@ def work(processes: Sequence[subprocess.Popen[str]], figure: str) -> list[float]
 
 
 def measure(trees: Sequence[Path], folder: Path, figures: Sequence[str]) -> Iterator[tuple[str, list[float]]]:
-    """A figure and the rates of the `trees`, for each round."""
+    """Yields, for each round, the figure and the rates of the `trees`."""
     cores = sorted(os.sched_getaffinity(0))
     for number in range(STARTS):
         with ExitStack() as stack:
@@ -164,7 +165,7 @@ def measure(trees: Sequence[Path], folder: Path, figures: Sequence[str]) -> Iter
 
 
 def interval(rates: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """The time of now as a multiple of the base's: lower bound, median, upper bound."""
+    """The present version's time divided by the base's: lower bound, median, upper bound."""
     ratios = sorted(base / now for now, base in rates)
     beyond = max(0, int(len(ratios) / 2 - 0.98 * math.sqrt(len(ratios))))
     return ratios[beyond], statistics.median(ratios), ratios[-1 - beyond]
@@ -172,10 +173,10 @@ def interval(rates: Sequence[Sequence[float]]) -> tuple[float, float, float]:
 
 def main() -> None:
     for stop in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(stop, lambda *_: sys.exit(130))  # and leave nothing behind
+        signal.signal(stop, lambda *_: sys.exit(130))  # an exit removes the temporary folder
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     kept = Path(__file__).with_name("bench_base.txt").read_text(encoding="utf-8").strip()
-    parser.add_argument("--base", metavar="COMMIT", default=kept, help="to compare with; %(default)s")
+    parser.add_argument("--base", metavar="COMMIT", default=kept, help="commit to compare with (%(default)s)")
     parser.add_argument("--serve", metavar="FOLDER", type=Path, help=argparse.SUPPRESS)  # one version's process
     arguments = parser.parse_args()
     if arguments.serve:

@@ -1,9 +1,9 @@
-"""The simulator's side of driving_replies.py: the real one's wire behaviour, with exactly one telemetry in flight.
+"""The simulator's side of driving_replies.py: Udacity's wire behaviour, with exactly one message in flight.
 
 python benchmarks/driving_client.py PORT PICTURES FRAMES [--seconds 30]
 
-Tells FRAMES pictures, the JPEG files in the folder PICTURES over and over, each as soon as the one before is
-answered, and prints one line of JSON: what `Turn` in driving_servers.py holds.
+Sends FRAMES pictures, the JPEG files in the folder PICTURES again and again, each as soon as the one before is
+answered. Prints the fields of `Turn` in driving_servers.py as one line of JSON.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from simulator.protocol.client import (
     WaitTimeoutError,
 )
 
-PATIENCE_S: Final = 10.0  # the server listens already
+PATIENCE_S: Final = 10.0  # short, because the server already listens
 
 
 class OneInFlight:
-    """Tells pictures to a server, and keeps the time of each round trip."""
+    """Sends pictures to a server, and stores the time of each round trip."""
 
     def __init__(self, pictures: list[bytes], frames: int, seconds: float) -> None:
         self.round_trips_ms: list[float] = []
@@ -36,28 +36,28 @@ class OneInFlight:
         self._frames = frames
         self._limit_s = seconds
         self._opened = 0
-        self._start_s = self._told_s = self._end_s = 0.0
+        self._start_s = self._sent_s = self._end_s = 0.0
         self._last = SteerCommand(0.0, 0.0)
 
     @property
     def seconds(self) -> float:
-        """From the first telemetry to the last answer."""
+        """Seconds from the first message to the last answer."""
         return self._end_s - self._start_s
 
     def next_telemetry(self, answer: ServerCommand) -> SimulatorMessage:
         self._end_s = time.perf_counter()
         if answer is None:
-            # The real client takes both the socket and the server's greeting for an "open", and tells at each.
+            # Udacity's client takes both the socket and the server's greeting for an "open".
             self._opened += 1
             if self._opened != 2:
                 return "nothing"
             self._start_s = self._end_s
         elif isinstance(answer, SteerCommand):
-            self.round_trips_ms.append((self._end_s - self._told_s) * 1e3)
+            self.round_trips_ms.append((self._end_s - self._sent_s) * 1e3)
             self._last = answer
         if len(self.round_trips_ms) == self._frames or self._end_s - self._start_s > self._limit_s:
             return None
-        self._told_s = time.perf_counter()
+        self._sent_s = time.perf_counter()
         throttle = min(max(self._last.throttle, 0.0), 1.0)
         return SimulatorTelemetry(min(max(self._last.steering, -1.0), 1.0), throttle, 9.0, next(self._pictures))
 
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("port", type=int)
     parser.add_argument("pictures", type=Path)
     parser.add_argument("frames", type=int)
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="ends the turn before FRAMES are told")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="end the turn after this time")
     chosen = parser.parse_args()
     pictures = [path.read_bytes() for path in sorted(chosen.pictures.glob("*.jpg"))]
     turn = OneInFlight(pictures, chosen.frames, chosen.seconds)

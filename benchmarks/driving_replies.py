@@ -1,12 +1,12 @@
-"""Replies a second and round trips of driving.
+"""Replies per second and round trips of driving.
 
 python benchmarks/driving_replies.py RUN --recording lake_windows
 
-The client is `simulator/protocol/client.py`, which has the real simulator's wire behaviour, with one telemetry in
-flight; it and each server are processes of their own. A turn is a connection; the turns go round, and who waits
-for one is suspended with all that it has started. The first round warms up and is not counted. All drive with the
-network of RUN. Without --recording, the pictures are those of the built-in simulator.
-The second table is what `bc-drive` wrote down of itself in its log.
+The client is `simulator/protocol/client.py`, which has Udacity's wire behaviour, with one message in flight. The
+client and each server are separate processes. A turn is one connection. The servers take turns; a waiting server
+is suspended with its child processes. The first round warms up and is not counted. All servers drive with the
+network of RUN. Without --recording, the pictures are from the built-in simulator. The second table shows the times
+in the logs of `bc-drive`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from driving_servers import Server, start_ours, write_pictures
 
 from recorder import Log
 
-WARM_UP: Final = 50  # telemetries
+WARM_UP: Final = 50  # messages
 STAGES: Final = ("parse_ms", "decode_ms", "network_ms", "total_ms")
 
 
-VIEWER: Final = ("--viewer",)  # one that writes a file
+VIEWER: Final = ("--viewer",)  # a viewer that writes a file
 OURS: Final = {
     "`bc-drive`": (),
     "`bc-drive --viewer`": VIEWER,
@@ -42,11 +42,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="the folder of a run")
     parser.add_argument("--recording", type=Path, help="a folder of the Udacity simulator, or a log")
-    parser.add_argument("--frames", type=int, default=10_000, help="telemetries for each, in all rounds together")
-    parser.add_argument("--rounds", type=int, default=5, help="turns that count")
-    parser.add_argument("--turn-seconds", type=float, default=30.0, help="the most that a turn takes")
+    parser.add_argument("--frames", type=int, default=10_000, help="messages to each server in all rounds")
+    parser.add_argument("--rounds", type=int, default=5, help="turns of each server that count")
+    parser.add_argument("--turn-seconds", type=float, default=30.0, help="time limit of a turn")
     chosen = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # else the servers would outlive us, suspended
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # else suspended servers would outlive this process
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         (folder / "pictures").mkdir()
@@ -70,7 +70,7 @@ def start_contender(ours: str, run: Path, folder: Path, stack: ExitStack) -> Ser
 
 
 def print_round_trips(servers: list[Server]) -> None:
-    """What the client saw."""
+    """Print the measurements of the client."""
     print("| | replies/s | p50 | p99 | telemetries |\n|---|---|---|---|---|")
     for server in servers:
         rates = [turn.replies_per_s for turn in server.turns[1:]]
@@ -81,20 +81,20 @@ def print_round_trips(servers: list[Server]) -> None:
 
 
 def print_stages(servers: list[Server]) -> None:
-    """What our servers wrote down, after they have ended."""
+    """End the servers, and print the times in their logs."""
     print("\n| inside the server, p50 / p99 / most | parse | decode and crop | network | all |")
     print("|---|---|---|---|---|")
     for server in servers:
         code = server.end()
         if code != 0:
-            print(f"{server.name}: exit code {code}\n{server.said()}", file=sys.stderr)
+            print(f"{server.name}: exit code {code}\n{server.last_errors()}", file=sys.stderr)
         assert server.log is not None  # noqa: S101
         with Log(server.log) as log:
             commands = [command for _, command in log.commands()]
             computed = f"{log.metadata['arithmetic']} on {log.metadata['device']}"
-        told = sum(len(turn.round_trips_ms) for turn in server.turns)
-        if len(commands) != told:
-            print(f"{server.name}: {told:,} telemetries, {len(commands):,} logged", file=sys.stderr)
+        sent = sum(len(turn.round_trips_ms) for turn in server.turns)
+        if len(commands) != sent:
+            print(f"{server.name}: {sent:,} telemetries, {len(commands):,} logged", file=sys.stderr)
         cells = []
         for stage in STAGES:
             spent_ms = [getattr(command, stage) for command in commands[len(server.turns[0].round_trips_ms) :]]

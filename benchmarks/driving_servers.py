@@ -1,6 +1,6 @@
-"""What the benchmarks of driving share: servers in processes of their own, their turns, and the pictures.
+"""Shared by the benchmarks of driving: servers in separate processes, their turns, and the pictures.
 
-A server that waits for its turn is suspended with all that it has started, so that only one at a time computes.
+A server that waits for its turn is suspended with its child processes, so that only one server computes at a time.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from simulator.pose import Pose
 
 HERE: Final = Path(__file__).parent
 PATIENCE_S: Final = 120.0  # until a server listens, or has ended
-RENDERED: Final = 300  # pictures, where there is no recording
+RENDERED: Final = 300  # pictures, without a recording
 
 
 @dataclass(frozen=True)
 class Turn:
-    """What the client saw of one server for a while."""
+    """The client's measurements of one server in one turn."""
 
     seconds: float
     round_trips_ms: list[float]
@@ -46,7 +46,7 @@ class Turn:
 
 @dataclass
 class Server:
-    """A server that runs."""
+    """A running server."""
 
     name: str
     process: psutil.Popen
@@ -56,47 +56,47 @@ class Server:
     turns: list[Turn] = field(default_factory=list)
 
     def drive(self, pictures: Path, frames: int, seconds: float) -> Turn:
-        """One turn: `frames` telemetries, or as many as `seconds` allow."""
+        """One turn: `frames` messages, or as many as `seconds` allow."""
         self.resume()
         line = [sys.executable, str(HERE / "driving_client.py"), str(self.port), str(pictures), str(frames)]
         line += ["--seconds", str(seconds)]
         client = subprocess.run(line, stdout=subprocess.PIPE, text=True, check=False)
         if client.returncode != 0:
-            raise SystemExit(f"{self.name}: the client failed\n{self.said()}")
+            raise SystemExit(f"{self.name}: the client failed\n{self.last_errors()}")
         turn = Turn(**json.loads(client.stdout))
         self.turns.append(turn)
         self.suspend()
         return turn
 
-    def started(self) -> list[psutil.Process]:
-        """The processes that the server has started."""
+    def children(self) -> list[psutil.Process]:
+        """The child processes of the server."""
         children: list[psutil.Process] = self.process.children(recursive=True)
         return children
 
     def suspend(self) -> None:
         self.process.suspend()
-        for child in self.started():
+        for child in self.children():
             child.suspend()
 
     def resume(self) -> None:
         self.process.resume()
-        for child in self.started():
+        for child in self.children():
             child.resume()
 
     def end(self) -> int:
-        """As Ctrl-C ends it; its exit code."""
+        """End the server as Ctrl-C does. Returns its exit code."""
         self.resume()
         self.process.send_signal(signal.SIGINT)
         return int(self.process.wait(PATIENCE_S))
 
-    def said(self) -> str:
-        """The end of its stderr."""
+    def last_errors(self) -> str:
+        """The end of the server's stderr."""
         self.errors.seek(0)
         return self.errors.read()[-2000:]
 
 
 def start(name: str, line: list[str], port: int, stack: ExitStack) -> Server:
-    """A server that listens on `port`, as `line` says; it ends with `stack`."""
+    """Start a server with the command `line`, and wait until it listens on `port`. It ends with `stack`."""
     errors = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
     process = psutil.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors)
     server = Server(name, process, port, errors)
@@ -104,13 +104,13 @@ def start(name: str, line: list[str], port: int, stack: ExitStack) -> Server:
     deadline_s = time.monotonic() + PATIENCE_S
     while not _listens(server):
         if process.poll() is not None or time.monotonic() > deadline_s:
-            raise SystemExit(f"{name}: does not listen; it said\n{server.said()}")
+            raise SystemExit(f"{name}: does not listen; its output:\n{server.last_errors()}")
         time.sleep(0.1)
     return server
 
 
 def start_ours(name: str, run: Path, log: Path, stack: ExitStack, *flags: str) -> Server:
-    """`bc-drive`, which drives with `run` and writes `log`."""
+    """Start `bc-drive` with `run`, which writes `log`."""
     port = free_port()
     code = "from drive.cli import main; main()"
     hidden = () if "--viewer" in flags else ("--viewer", "off")
@@ -128,8 +128,8 @@ def free_port() -> int:
 
 
 def write_pictures(recording: Path | None, folder: Path) -> int:
-    """The centre camera's JPEGs as files in `folder`, in their order; how many. They come from a folder of the
-    Udacity simulator, from a log, or from a round of the built-in simulator's lake track."""
+    """Write the centre camera's JPEGs to `folder`, in order. Returns their number. They come from a folder of
+    Udacity's simulator, from a log, or from a lap of the built-in simulator's lake track."""
     count = 0
     for count, jpeg in enumerate(_pictures(recording), 1):
         (folder / f"{count:06}.jpg").write_bytes(jpeg)
@@ -157,7 +157,7 @@ def _pictures(recording: Path | None) -> Iterator[bytes]:
 
 
 def _listens(server: Server) -> bool:
-    with contextlib.suppress(psutil.Error):  # it has ended
+    with contextlib.suppress(psutil.Error):  # the server has ended
         connections = server.process.net_connections("tcp")
         return any(c.status == psutil.CONN_LISTEN and c.laddr.port == server.port for c in connections)
     return False
@@ -165,6 +165,6 @@ def _listens(server: Server) -> bool:
 
 def _kill(server: Server) -> None:
     with contextlib.suppress(psutil.NoSuchProcess):
-        for process in [*server.started(), server.process]:
+        for process in [*server.children(), server.process]:
             process.kill()
     server.process.wait()

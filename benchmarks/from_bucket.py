@@ -1,11 +1,11 @@
-"""Reading logs out of a bucket, beside reading them from the disk.
+"""Reading logs from a bucket, compared with reading them from the disk.
 
 python benchmarks/from_bucket.py SESSIONS logs         # bc-log info and bc-index: requests, bytes
-python benchmarks/from_bucket.py SESSIONS long         # bc-log info of one of them, made 8.4 GB long by a hole
+python benchmarks/from_bucket.py SESSIONS long         # bc-log info of a log that a hole makes 8.4 GB long
 python benchmarks/from_bucket.py SESSIONS training     # epochs of bc-train
 
-SESSIONS is a folder of logs. They are served by localbucket from a process of its own, each request 50 ms late and
-all answers together at 100 MB/s (--delay-ms, --mb-s). The bucket's cache is empty before each first epoch.
+SESSIONS is a folder of logs. A separate process serves them with localbucket, each request 50 ms late and all
+answers together at 100 MB/s (--delay-ms, --mb-s). The bucket's cache is empty before each first epoch.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ INTERNET_USD_GB: Final = 0.09  # ... and to anywhere else
 
 
 class _Late(localbucket.S3Handler):  # type: ignore[misc]
-    """Answers late, and all answers together no faster than a network would."""
+    """Answers after a delay, and limits the rate of all answers together to that of a network."""
 
     delay_s: float
     bytes_s: float
@@ -101,14 +101,14 @@ def serve(folder: str, delay_ms: float, mb_s: float) -> None:
 
 
 class Server:
-    """A server in a process of its own."""
+    """A server in a separate process."""
 
     def __init__(self, port: int, folder: Path) -> None:
         self.address = f"127.0.0.1:{port}"
-        self.folder = folder  # the bucket's
+        self.folder = folder  # of the bucket
 
     def counts(self) -> tuple[int, int]:
-        """Requests for objects, and the bytes of them, until now."""
+        """The numbers of requests and of sent bytes until now."""
         with urllib.request.urlopen(f"http://{self.address}/counts") as answer:
             requests, sent = json.load(answer)
         return requests, sent
@@ -116,7 +116,7 @@ class Server:
 
 @contextlib.contextmanager
 def serving(sessions: Path, delay_ms: float, mb_s: float) -> Iterator[Server]:
-    """Copies of the logs in a bucket; s3:// leads there."""
+    """Serve copies of the logs in a bucket at s3:// during the block."""
     with tempfile.TemporaryDirectory(prefix="bc-bucket-") as folder:
         (Path(folder) / BUCKET).mkdir()
         for log in sorted(sessions.glob("*.mcap")):
@@ -157,9 +157,9 @@ def print_logs(sessions: Path, server: Server) -> None:
             f"| the same logs on a disk | {total / 1e6:,.1f} | | {(_bytes_read() - read) / 1e6:,.2f} |", flush=True
         )
         for cache, what in (
-            ("one", "`--index` there, too"),
+            ("one", "`--index` in the bucket, too"),
             ("one", "again"),
-            ("two", "again, of another machine"),
+            ("two", "again, on another machine"),
         ):
             before = server.counts()
             os.environ["BC_CACHE"] = f"{folder}/{cache}"
@@ -170,19 +170,19 @@ def print_logs(sessions: Path, server: Server) -> None:
 
 
 def _bytes_read() -> int:
-    """Those that this process has read until now, of whatever file, where Linux counts them."""
+    """The bytes that this process has read from all files until now (Linux)."""
     return int(Path("/proc/self/io").read_text().split()[1])
 
 
 def print_long(sessions: Path, server: Server) -> None:
-    """32,000 chunks more, with nothing in them."""
+    """Print the requests for a log with 32,000 more, empty chunks."""
     sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
     from long_log import lengthened
 
     short = min(sessions.glob("*.mcap"), key=lambda log: log.stat().st_size)
     url = Url("s3", BUCKET, "long.mcap")
     path = lengthened(short, server.folder / url.name, 32_000)
-    find_object(url)  # the server reads all of it, for its ETag
+    find_object(url)  # first: the server reads the whole log, for its ETag
     print("| | MB | requests | MB moved |\n|---|---|---|---|")
     before = server.counts()
     describe(url)
@@ -197,7 +197,7 @@ def print_long(sessions: Path, server: Server) -> None:
             begin = time.process_time()
             describe(place)
             seconds.append(time.process_time() - begin)
-        print(f"{place}: {1000 * min(seconds):.0f} ms of the processor")
+        print(f"{place}: {1000 * min(seconds):.0f} ms of processor time")
 
 
 def _print_moved(what: str, size: int, server: Server, before: tuple[int, int]) -> None:
@@ -206,8 +206,8 @@ def _print_moved(what: str, size: int, server: Server, before: tuple[int, int]) 
 
 
 def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, network: str) -> None:
-    """Epochs from the disk and from the bucket, in turn; of each the fastest, for what else a machine does only
-    slows them. The second and later ones are those of a warm cache."""
+    """Print the fastest epochs from the disk and from the bucket, measured in turn, because other programs only
+    slow them. The second and later epochs have a warm cache."""
     names = [log.name for log in sorted(sessions.glob("*.mcap"))]
     places: dict[str, Sequence[Location]] = {
         "disk": [sessions / name for name in names],
@@ -232,12 +232,12 @@ def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, netw
     print(f"{requests * GET_USD:.5f} USD, and {sent / 1e9 * INTERNET_USD_GB:.3f} USD out of its region\n")
     print("| epoch | disk, s | bucket, s | speed of the disk's |\n|---|---|---|---|")
     for epoch in range(epochs):
-        disk, bucket = (min(each[epoch] for each in seconds[where]) for where in ("disk", "bucket"))
+        disk, bucket = (min(epochs_s[epoch] for epochs_s in seconds[where]) for where in ("disk", "bucket"))
         print(f"| {epoch + 1} | {disk:.2f} | {bucket:.2f} | {disk / bucket:.3f} |")
 
 
 class _Clock:
-    """Notes when each epoch of a training is over."""
+    """Stores the time at which each epoch of a training ends."""
 
     def __init__(self) -> None:
         self.at = [time.perf_counter()]
@@ -251,7 +251,7 @@ class _Clock:
 
 
 def _trained(index: Path, run: Path, epochs: int, network: str) -> list[float]:
-    """Seconds of each epoch, the first one from the opening of the logs on."""
+    """Seconds of each epoch. The first one begins with opening the logs."""
     settings = replace(TrainConfig(), epochs=epochs, network=network, threads=1)
     clock = _Clock()
     train(index, run, settings, [clock], show_progress=False)
@@ -267,18 +267,18 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--epochs", type=int, default=3)
     parser.add_argument("--network", default=TrainConfig().network)
-    given = parser.parse_args()
-    if given.what == "serve":
-        serve(str(given.sessions), given.delay_ms, given.mb_s)
+    arguments = parser.parse_args()
+    if arguments.what == "serve":
+        serve(str(arguments.sessions), arguments.delay_ms, arguments.mb_s)
         return
-    with serving(given.sessions, given.delay_ms, given.mb_s) as server:
-        match given.what:
+    with serving(arguments.sessions, arguments.delay_ms, arguments.mb_s) as server:
+        match arguments.what:
             case "logs":
-                print_logs(given.sessions, server)
+                print_logs(arguments.sessions, server)
             case "long":
-                print_long(given.sessions, server)
+                print_long(arguments.sessions, server)
             case _:
-                print_epochs(given.sessions, server, given.repeats, given.epochs, given.network)
+                print_epochs(arguments.sessions, server, arguments.repeats, arguments.epochs, arguments.network)
 
 
 if __name__ == "__main__":

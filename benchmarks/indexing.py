@@ -1,4 +1,4 @@
-"""How fast a real log is indexed, and what ten million frames in 1,000 logs cost, here or on a Ray cluster.
+"""How fast a real log is indexed, and the cost of ten million frames in 1,000 logs, locally or on a Ray cluster.
 
 python benchmarks/indexing.py --log LOG
 python benchmarks/indexing.py [--logs 1000] [--frames 10000000] [--ray local] [--folder FOLDER]
@@ -43,7 +43,7 @@ def index_log(path: Path) -> None:
         with Log(path) as log, tempfile.TemporaryDirectory() as name:
             frames = frames_table(log, Path(name), IndexConfig(), ())
         rates.append(len(frames) / (time.perf_counter() - start_s))
-    rates = sorted(rates[1:])  # the first reads the log from the disk
+    rates = sorted(rates[1:])  # the first run reads the log from the disk
     size_mb = path.stat().st_size / 1e6
     print(
         f"indexing {len(frames):,} frames ({size_mb:,.0f} MB), every CRC checked: {statistics.median(rates):,.0f}"
@@ -52,7 +52,8 @@ def index_log(path: Path) -> None:
 
 
 def write_log(folder: Path, rows: int, number: int) -> Path:
-    """A car that winds along, on a day of its own. No person drives: of those, pictures would be looked at."""
+    """Write a log of a car with random steering, each on another day. The driver is "expert", because the index
+    would look at the pictures of a person's drive."""
     path = folder / f"s{number:05d}.mcap"
     if path.exists():
         return path
@@ -86,7 +87,7 @@ class Costs:
         return call
 
     def of_tasks(self, tasks: Tasks) -> Tasks:
-        """Adds what the calls take in their own processes."""
+        """Wrap `tasks` to add the processor time of the calls in their processes."""
 
         def counting(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
             def call(*arguments: Any) -> tuple[Any, float]:
@@ -115,7 +116,7 @@ def index(logs: Sequence[Path], folder: Path, ray: tuple[str, ...] | None) -> No
     ):
         setattr(build, name, costs.timed(part, getattr(build, name)))
     with tempfile.TemporaryDirectory(dir=folder) as name, tasks_of(ray) as tasks:
-        if ray is not None:  # processes that have imported nothing yet are not the cluster's speed
+        if ray is not None:  # start the processes before the measurement
             list(tasks(_warm, [(number,) for number in range(4 * (os.cpu_count() or 1))]))
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         indexed = build.build_index(logs, Path(name), IndexConfig(), tasks=costs.of_tasks(tasks))
@@ -146,7 +147,7 @@ def _peak_mb() -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--log", type=Path, help="index this real log instead, several times")
+    parser.add_argument("--log", type=Path, help="instead, index this real log several times")
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--frames", type=int, default=10_000_000)
     parser.add_argument("--ray", nargs="?", const="")

@@ -1,9 +1,9 @@
-"""How fast pictures are loaded in random order, beside OpenCV alone and PyTorch's DataLoader.
+"""How fast pictures are loaded in random order, compared with OpenCV alone and PyTorch's DataLoader.
 
 bc-index --no-balance --no-flip --gap-s 0 --index plain    # every picture once
 python benchmarks/loading.py plain
 
-Everything gives the same crops, which is checked, of the same pictures, in batches, from a warm page cache.
+All contenders give the same crops of the same pictures (this is checked), in batches, from a warm page cache.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ Epoch = Callable[[], Iterable[Any]]  # batches of crops
 
 
 def main() -> None:
-    """Print pictures/s (median, least to most, of several rounds) and their share of OpenCV's in each round."""
+    """Print pictures/s (median, minimum to maximum of several rounds) and their share of OpenCV's in each
+    round."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("index", type=Path)
     samples = Samples(parser.parse_args().index)
@@ -70,7 +71,7 @@ def main() -> None:
 
 
 def _opencv(jpegs: list[bytes], threads: int) -> list[None]:
-    """The limit: nothing is read, and the crops are dropped."""
+    """The limit: it reads nothing, and drops the crops."""
 
     def work(part: Any) -> None:
         for i in part.tolist():
@@ -83,7 +84,7 @@ def _opencv(jpegs: list[bytes], threads: int) -> list[None]:
 
 def _ours(samples: Samples, table: pa.Table) -> dict[str, tuple[int, Epoch]]:
     def first(threads: int) -> Iterator[Any]:
-        # Opening the logs is in it: they are few, and their chunks' CRCs have not been looked at.
+        # This includes opening the logs, which are few, and checking the CRCs of their chunks.
         with Loader(Samples(samples.path.parent), table, batch=BATCH, budget_bytes=0, threads=threads) as fresh:
             yield from (batch.pictures for batch in fresh.epoch(0))
 
@@ -120,7 +121,7 @@ def _single_files(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoc
 
 
 def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[int, Epoch]]:
-    """Through PyTorch's DataLoader; its two workers are started once, before the rounds."""
+    """The data set in PyTorch's DataLoader, without and with two workers, which start once, before the rounds."""
     loaders: dict[str, tuple[int, Epoch]] = {}
     for workers in (0, 2):
         options = {"batch_size": BATCH, **settings, "num_workers": workers, "persistent_workers": workers > 0}
@@ -130,10 +131,10 @@ def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[i
 
 
 def _check(what: str, epoch: Epoch, expected: list[int]) -> int:
-    """How many crops an epoch gives: all of them, each once."""
+    """Check that an epoch gives every crop once. Returns their number."""
     crcs = sorted(zlib.crc32(np.asarray(crop).tobytes()) for batch in epoch() for crop in batch)
     if crcs != expected:
-        raise SystemExit(f"{what}: {len(crcs)} crops, not the {len(expected)} that were expected")
+        raise SystemExit(f"{what}: {len(crcs)} crops, but {len(expected)} other ones were expected")
     return len(crcs)
 
 
@@ -147,13 +148,12 @@ def _random_read_us(places: list[Any]) -> float:
 
 
 def _each_picture_once(table: pa.Table) -> pa.Table:
-    """The samples as they were recorded, whatever split they are of."""
+    """The samples of all splits that are neither mirrored nor copies."""
     return table.filter(pc.invert(pc.or_(table["flip"], table["copy"])))
 
 
 def _spread(values: list[float], digits: int = 0) -> str:
-    middle, least, most = statistics.median(values), min(values), max(values)
-    return f"{middle:,.{digits}f} ({least:,.{digits}f} to {most:,.{digits}f})"
+    return f"{statistics.median(values):,.{digits}f} ({min(values):,.{digits}f} to {max(values):,.{digits}f})"
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""How fast a recording becomes a log, a log is read back, and a log becomes a LeRobot dataset; and memory.
+"""Speed and memory of importing a recording, reading a log, and exporting a log as a LeRobot dataset.
 
 taskset -c 0 python benchmarks/log_files.py RECORDING [--gigabytes 1]
 
-RECORDING is a folder of the Udacity simulator. It is imported, then its pictures are written again and again, with
-the rows numbered on, until a log has its size. Everything is read from the page cache, if that is large enough.
+RECORDING is a folder of Udacity's simulator. It is imported. Then its pictures are written repeatedly, with
+consecutive row numbers, until the log has the wanted size. Everything is read from the page cache, if that is
+large enough.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ EXPORTED_ROWS = 10_000
 
 
 def print_import(recording: Path, folder: Path) -> None:
-    """Pictures a second; the disk's share is in them."""
+    """Print the pictures per second of an import, including the time of the disk."""
     rates = []
     for run in range(RUNS + 1):
         start_s = time.perf_counter()
         imported = import_udacity(recording, folder / f"{run}.mcap")
         rates.append(imported.pictures / (time.perf_counter() - start_s))
-    print(f"import: {_spread(rates[1:])} pictures/s")  # the first reads the pictures from the disk
+    print(f"import: {_spread(rates[1:])} pictures/s")  # the first run reads the pictures from the disk
 
 
 def write_long_log(recording: Path, path: Path, size_bytes: float, max_rows: float = float("inf")) -> int:
-    """A log of about `size_bytes` in drives of 1,000 rows; returns how many messages it has."""
+    """Write a log of about `size_bytes` in drives of 1,000 rows. Returns its number of messages."""
     complete = [(row, paths) for row, paths in UdacityRecording(recording, Skipped()).rows() if all(paths)][:200]
     pictures = {Path(path).name: Path(path).read_bytes() for _, paths in complete for path in paths if path}
     number = 0
@@ -64,7 +65,7 @@ def write_long_log(recording: Path, path: Path, size_bytes: float, max_rows: flo
 
 
 def print_reading(log: Path, messages: int) -> None:
-    """`bc-log info`, `check` and `recover`, start-up included."""
+    """Print the times of `bc-log info`, `check` and `recover`, including start-up."""
     size_mb = log.stat().st_size / 1e6
     print(f"{size_mb:,.0f} MB, {messages:,} messages; {RUNS} runs each, median; start-up included")
     for name, arguments in (
@@ -83,7 +84,7 @@ def print_reading(log: Path, messages: int) -> None:
 
 
 def timed(arguments: list[str]) -> tuple[float, float]:
-    """Seconds of a `bc-log` command, and the most memory that any took until now (MB)."""
+    """The seconds of a `bc-log` command, and the peak memory in MB of all commands until now."""
     code = "from recorder.log_cli import main; main()"
     start_s = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
@@ -94,7 +95,7 @@ def timed(arguments: list[str]) -> tuple[float, float]:
 
 
 def print_export(log: Path, folder: Path) -> None:
-    """Pictures a second, pictures a CPU second, and memory on top of what the process had before (MB)."""
+    """Print the pictures per second and per CPU second of an export, and its memory in MB above that before it."""
     runs = [_export(log, folder) for _ in range(RUNS)]
     rates, cpu_rates, memory_mb = zip(*runs, strict=True)
     cpu_rate = statistics.median(cpu_rates)
@@ -120,7 +121,7 @@ def _export(log: Path, folder: Path) -> tuple[float, float, float]:
 
 
 def _anonymous_mb() -> float:
-    """Memory of this process that is no file's (Linux)."""
+    """Anonymous memory of this process in MB, without mapped files (Linux)."""
     match = re.search(r"RssAnon:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="ascii"))
     return int(match[1]) / 1024 if match else 0.0
 

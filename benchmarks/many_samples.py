@@ -1,4 +1,4 @@
-"""What it costs to open an index of many samples, and to draw an epoch's order: time and memory.
+"""Time and memory to open an index of many samples, and to draw the order of an epoch.
 
 python benchmarks/many_samples.py [--samples 10000000]
 """
@@ -24,11 +24,11 @@ from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME
 from recorder import Log, LogWriter
 
 SESSIONS = 100
-USES = 3  # how often each picture is used: as it is, mirrored, altered
+USES = 3  # of each picture: unchanged, mirrored, altered
 
 
 def main() -> None:
-    """Make such an index in another process, open it, and print what that took."""
+    """Make an index in another process, open it, and print time and memory."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=10_000_000)
     count = parser.parse_args().samples
@@ -37,12 +37,12 @@ def main() -> None:
         spawned = multiprocessing.get_context("spawn")
         with spawned.Pool(1) as pool:
             pool.starmap(_make, [(few, 1_000), (many, count)])
-        with spawned.Pool(1) as pool:  # whose peak is its own
+        with spawned.Pool(1) as pool:  # another process, with its own peak memory
             print(pool.apply(_open, (many, few)))
 
 
 def _open(index: Path, few: Path) -> str:
-    load(few, budget_bytes=0).close()  # what the libraries take for themselves is not counted
+    load(few, budget_bytes=0).close()  # first, so that the memory of the libraries is not counted
     before = _peak_bytes()
     start = time.perf_counter()
     with load(index, budget_bytes=0) as loader:

@@ -1,13 +1,13 @@
-"""How fast a log opens in the viewer, and how much memory that takes: by minutes of driving, 25 rows a second.
+"""How fast a log opens in the viewer, and how much memory it takes, by minutes of driving at 25 rows a second.
 
 python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 120] [--folder .]
 
-The rows of a session (three cameras) and of a drive (one camera, and what the network saw) are repeated until a
-log is long enough. bc-play shows it in a real viewer without a window, which has started before, and writes it as
-an .rrd file, which such a viewer opens; beside that, the viewer opens the log by itself and shows no curves. All
-is there when the view of the centre camera shows the last picture, a green one. The start-up of bc-play is part of
-its times; memory is without mapped files. A viewer without a window needs a graphics driver: on a bare server,
-Debian's package mesa-vulkan-drivers.
+The rows of a session (three cameras) and of a drive (one camera, and the network's crops) are repeated until a log
+is long enough. Three ways are measured: bc-play shows the log in a running headless viewer; bc-play writes an .rrd
+file, which a headless viewer opens; the viewer opens the log itself, without curves. A log is completely shown
+when the view of the centre camera shows the last picture, which is green. Times include the start-up of bc-play;
+memory is without mapped files. A headless viewer needs a graphics driver: on a bare server, Debian's package
+mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ ROWS_A_SECOND: Final = 25
 REPEATED: Final = 500  # rows
 GREEN: Final = (0, 255, 0)
 PATIENCE_S: Final = 300.0
-MIN_FREE_MB: Final = 1500  # a machine without memory measures nothing, and may end other programs
+MIN_FREE_MB: Final = 1500  # with less memory, times are useless, and the system may kill other programs
 
 
 @dataclass(frozen=True)
 class Opened:
-    """What opening a log took: seconds until its first pictures were there, until all was sent, and until its last
-    picture was seen; megabytes of bc-play and of the viewer."""
+    """Measurements of opening a log: seconds until the viewer had the first pictures, until all was sent, and
+    until the last picture was shown; megabytes of bc-play and of the viewer."""
 
     first_s: float
     sent_s: float
@@ -56,7 +56,7 @@ class Opened:
 
 @dataclass(frozen=True)
 class ByItself:
-    """What the viewer took to open a log by itself: seconds until its last picture was seen; megabytes."""
+    """Measurements of a viewer that opens a log itself: seconds until the last picture was shown; megabytes."""
 
     seen_s: float
     viewer_mb: float
@@ -64,7 +64,7 @@ class ByItself:
 
 @dataclass(frozen=True)
 class Saved:
-    """What an .rrd file took: seconds to write it, and until its last picture was seen; megabytes of the
+    """Measurements of an .rrd file: seconds to write it, and until the last picture was shown; megabytes of the
     viewer."""
 
     written_s: float
@@ -73,12 +73,12 @@ class Saved:
 
 
 def write_long_log(source: Path, path: Path, minutes: float) -> None:
-    """The rows of `source`, again and again; the centre camera's last picture is green."""
+    """Write a log that repeats the rows of `source`. The last picture of the centre camera is green."""
     green = cv2.imencode(".jpg", np.full((160, 320, 3), GREEN, np.uint8))[1].tobytes()
     rows = int(minutes * 60 * ROWS_A_SECOND)
     with Log(source) as log, LogWriter(path, {"source": "benchmark"}) as writer:
         cameras = {camera: _contents(log, camera_topic(camera)) for camera in CAMERAS}
-        crops, poses = _contents(log, PILOT_INPUT), [PoseInFrame.FromString(each) for each in _raw(log, POSE)]
+        crops, poses = _contents(log, PILOT_INPUT), [PoseInFrame.FromString(data) for data in _raw(log, POSE)]
         states = [state for _, state in log.vehicle_states()][:REPEATED] if log.counts.get(VEHICLE) else []
         commands = [command for _, command in log.commands()][:REPEATED] if log.counts.get(PILOT_COMMAND) else []
         start_ns, _ = log.time_range_ns
@@ -105,7 +105,8 @@ def _contents(log: Log, topic: str) -> list[bytes]:
 
 
 def _raw(log: Log, topic: str) -> list[bytes]:
-    return [log.read(each.offset, each.length, each.chunk) for each in log.messages(topic)[:REPEATED]]
+    messages = log.messages(topic)[:REPEATED]
+    return [log.read(message.offset, message.length, message.chunk) for message in messages]
 
 
 def opened(log: Path) -> Opened:
@@ -136,10 +137,10 @@ def saved(log: Path, rrd: Path) -> Saved:
 
 
 def by_itself(file: Path, log: Path) -> ByItself:
-    """`file` is the log, or what was saved of it."""
+    """Let the viewer open `file`, which is the log or its .rrd file."""
     with viewer() as (process, client, _):
         start_s = time.perf_counter()
-        with contextlib.suppress(TimeoutError):  # it goes on opening
+        with contextlib.suppress(TimeoutError):  # the viewer continues to open the file
             client.open(str(file.absolute()))
         viewer_mb = 0.0
         while is_loading(client):
@@ -153,23 +154,23 @@ def by_itself(file: Path, log: Path) -> ByItself:
 def is_loading(client: ViewerClient) -> bool:
     try:
         return bool(client.get_state().loading)
-    except TimeoutError:  # it has its hands full
+    except TimeoutError:  # the viewer is busy
         return True
 
 
 def wait_for_last(client: ViewerClient, log: Path) -> None:
-    """Until the view of the centre camera shows the last picture."""
+    """Wait until the view of the centre camera shows the last picture."""
     with Log(log) as read:
         _, last_ns = read.time_range_ns
     deadline_s = time.perf_counter() + PATIENCE_S
-    is_told = False
-    while not is_told or not shows_green(client):
+    is_time_set = False
+    while not is_time_set or not shows_green(client):
         if time.perf_counter() > deadline_s:
             sys.exit("the viewer does not show the last picture")
         with contextlib.suppress(TimeoutError):
-            if not is_told:
+            if not is_time_set:
                 client.set_time(LOG_TIME, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
-                is_told = True
+                is_time_set = True
         time.sleep(0.05)
 
 
@@ -179,7 +180,8 @@ def bc_play(*arguments: str) -> list[str]:
 
 @contextlib.contextmanager
 def viewer() -> Iterator[tuple[subprocess.Popen[bytes], ViewerClient, int]]:
-    """A viewer without a window, otherwise as bc-play opens one, and its port, as soon as it answers."""
+    """Run a headless viewer with bc-play's other settings. Yields its process, a client and its port when it
+    answers."""
     port = free_port()
     command = [str(viewer_program()), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--server-memory-limit", WINDOW_MEMORY]
@@ -194,7 +196,7 @@ def viewer() -> Iterator[tuple[subprocess.Popen[bytes], ViewerClient, int]]:
 
 def answering(url: str) -> ViewerClient:
     for _ in range(100):
-        with contextlib.suppress(Exception):  # what it raises is not documented
+        with contextlib.suppress(Exception):  # its exceptions are not documented
             client = ViewerClient.connect(url)
             client.get_state()
             return client
@@ -203,12 +205,13 @@ def answering(url: str) -> ViewerClient:
 
 
 def has_component(client: ViewerClient, entity: str, ending: str) -> bool:
-    """True if an entity, or one below it, has a component whose name ends so."""
+    """True if an entity, or one below it, has a component whose name ends with `ending`."""
     try:
         schema = client.get_recording_schema(entity_path=entity)
-    except Exception:  # nothing is open yet; what it raises is not documented
+    except Exception:  # no recording is open yet; its exceptions are not documented
         return False
-    return any(each.component.endswith(ending) for entity in schema.entities for each in entity.components)
+    components = (component for entity in schema.entities for component in entity.components)
+    return any(component.component.endswith(ending) for component in components)
 
 
 def shows_green(client: ViewerClient) -> bool:
@@ -227,7 +230,7 @@ def shows_green(client: ViewerClient) -> bool:
 
 
 def memory_mb(pid: int) -> float:
-    """Of a process, without the files that it has mapped; 0 if it has ended."""
+    """Memory of a process in MB, without mapped files; 0 if it has ended."""
     with contextlib.suppress(OSError):
         for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("RssAnon"):

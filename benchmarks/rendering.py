@@ -1,10 +1,10 @@
-"""How fast the built-in simulator renders and builds its tracks, and what it costs as a Gymnasium environment.
+"""How fast the built-in simulator renders and builds its tracks, alone and as a Gymnasium environment.
 
 python benchmarks/rendering.py
 
-One core, one after the other, by processor time. The environment holds the same commands for 0.1 s and takes the
-same pictures as the simulator alone; it adds RGB in place of BGR, the observation, the info, and Gymnasium's own
-wrappers.
+All measurements are processor time on one core, one after the other. The environment holds the same commands for
+0.1 s and takes the same pictures as the simulator alone. It adds the conversion to RGB, the observation, the info,
+and Gymnasium's own wrappers.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def print_track(name: str) -> None:
-    """Steps a second of three cameras, and how long it takes to build the track."""
+    """Print the steps per second of three cameras, and the time to build the track."""
     track = load_track(name)
     times = []
     for _ in range(2):  # the first call bakes and writes, the second reads
@@ -73,7 +73,7 @@ def _steps_per_s(track: Track, world: WorldMaps) -> float:
 
 
 def print_environment(cameras: tuple[Camera, ...]) -> None:
-    """Steps a second of CPU time: the median of the rounds, and the ratio to the simulator alone."""
+    """Print the steps per second of CPU time: the median of the rounds, and the ratio to the simulator alone."""
     drives: dict[str, Drive] = {
         "the simulator alone": alone(cameras),
         "the environment": stepped(gymnasium.make("simulator:bc/Lake-v0", cameras=cameras).unwrapped),
@@ -87,7 +87,7 @@ def print_environment(cameras: tuple[Camera, ...]) -> None:
             rates[name].append(STEPS / (time.process_time() - start_s))
     reference = rates["the simulator alone"]
     for name, measured in rates.items():
-        ratio = statistics.median(rate / one for rate, one in zip(measured, reference, strict=True))
+        ratio = statistics.median(rate / alone_rate for rate, alone_rate in zip(measured, reference, strict=True))
         print(f"{len(cameras)} cameras, {name:19} {statistics.median(measured):6.1f} steps/s, {ratio:.3f}")
 
 

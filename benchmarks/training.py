@@ -1,12 +1,12 @@
-"""How fast the network is trained on a processor, beside the step alone, Keras, and PyTorch as first written.
+"""How fast the network is trained on a processor, compared with the step alone, Keras, and simple PyTorch.
 
 python -m venv keras && keras/bin/pip install tensorflow-cpu opencv-python-headless
 python benchmarks/training.py INDEX --keras-python keras/bin/python [--threads 1] [--only bc-train Keras]
 
-All learn the same samples of INDEX in batches of 256, each in a process of its own with as many threads (all
-cores, unless told otherwise); an epoch is a turn, and the turns go round. The first round warms up and is not
-counted. The alterations of copies are done by `bc-train` alone: the others get the pictures as they are. Takes
-16 GB of memory with Keras, and a machine that does nothing else.
+All contenders learn the same samples of INDEX in batches of 256, each in a separate process with the same number
+of threads (by default one a core). They take turns; a turn is an epoch. The first round warms up and is not
+counted. Only `bc-train` alters copies: the others get unaltered pictures. Needs 16 GB of memory with Keras, and an
+otherwise idle machine.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ KERAS_SETTINGS: Final = {
 
 @dataclass
 class Contender:
-    """A process that trains when it is told to."""
+    """A process that trains an epoch for each line on its stdin."""
 
     name: str
     process: subprocess.Popen[str]
@@ -62,15 +62,15 @@ class Contender:
     seconds: list[float] = field(default_factory=list)  # of each epoch
 
     def train_epoch(self) -> float:
-        """How many seconds it took."""
-        with suppress(BrokenPipeError):  # it has ended: then there is no answer either
+        """Let the contender train an epoch. Returns its seconds."""
+        with suppress(BrokenPipeError):  # the process has ended: the missing answer is reported below
             print("go", file=self.process.stdin, flush=True)
         answer = self.process.stdout.readline() if self.process.stdout else ""
         if not answer:
             self.process.wait()
             self.errors.seek(0)
-            said = self.errors.read()[-2000:]
-            raise SystemExit(f"{self.name}: ended with code {self.process.returncode}\n{said}")
+            last_errors = self.errors.read()[-2000:]
+            raise SystemExit(f"{self.name}: ended with code {self.process.returncode}\n{last_errors}")
         self.seconds.append(float(answer))
         return self.seconds[-1]
 
@@ -79,10 +79,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("index", type=Path)
     parser.add_argument("--keras-python", help="the Python of an environment with TensorFlow; without, no Keras")
-    parser.add_argument("--rounds", type=int, default=3, help="turns that count")
-    parser.add_argument("--samples", type=int, default=2560, help="of an epoch, drawn from the training samples")
-    parser.add_argument("--threads", type=int, default=0, help="of each; 0: as many as there are cores")
-    parser.add_argument("--only", nargs="+", default=[""], metavar="WORDS", help="contenders whose name has them")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each contender that count")
+    parser.add_argument("--samples", type=int, default=2560, help="training samples in an epoch")
+    parser.add_argument("--threads", type=int, default=0, help="threads of each contender; 0: one a core")
+    parser.add_argument(
+        "--only", nargs="+", default=[""], metavar="WORDS", help="only contenders with these names"
+    )
     chosen = parser.parse_args()
     commands = {name: [sys.executable, "training_torch.py", *arguments] for name, arguments in OURS.items()}
     if chosen.keras_python:
@@ -101,7 +103,7 @@ def main() -> None:
         contenders: dict[str, Contender] = {}
         for number in range(1 + chosen.rounds):
             for what, command in commands.items():
-                if what not in contenders:  # one by one: a start would disturb the others
+                if what not in contenders:  # started in its first turn: a start would disturb the others
                     contenders[what] = start(what, command, Path(name), stack)
                 seconds = contenders[what].train_epoch()
                 print(f"round {number}: {what}: {count / seconds:,.0f} samples/s", file=sys.stderr)
@@ -110,7 +112,8 @@ def main() -> None:
 
 
 def write_pictures(index: Path, folder: Path, count: int) -> int:
-    """Some training samples of `index` in `folder`: as an index, and as JPEG files with a list; how many."""
+    """Write some training samples of `index` to `folder`: as an index, and as JPEG files with a list. Returns
+    their number."""
     (folder / "index").mkdir()
     with Samples(index) as samples, (folder / "samples.csv").open("w", newline="") as stream:
         table = samples.of_split("train")
@@ -129,10 +132,10 @@ def write_pictures(index: Path, folder: Path, count: int) -> int:
 
 
 def start(name: str, command: list[str], folder: Path, stack: ExitStack) -> Contender:
-    """A contender that waits for its first turn; it ends with `stack`."""
+    """Start a contender, which waits for its first turn and ends with `stack`."""
     python, script, *arguments = command
     errors = stack.enter_context(tempfile.TemporaryFile("w+"))  # noqa: SIM115
-    pages = {} if "plain" in arguments else {"THP_MEM_ALLOC_ENABLE": "1"}  # as bc-train has it
+    pages = {} if "plain" in arguments else {"THP_MEM_ALLOC_ENABLE": "1"}  # as in bc-train
     process = stack.enter_context(
         subprocess.Popen(
             [python, HERE / script, folder, *arguments],
@@ -147,15 +150,16 @@ def start(name: str, command: list[str], folder: Path, stack: ExitStack) -> Cont
 
 
 def print_table(rates: dict[str, list[float]]) -> None:
-    """Medians (least to most) of samples/s, of their ratios to the step alone in the same round, and of those to
-    the best that Keras reached in any round with any setting: what disturbs it now and then should not flatter."""
+    """Print medians (minimum to maximum) of samples/s, of their ratios to the step alone in the same round, and of
+    their ratios to the best rate of Keras in any round with any setting, so that a disturbed round of Keras does
+    not flatter the others."""
     keras = max((rate for name in KERAS_SETTINGS for rate in rates.get(name, [])[1:]), default=None)
     print("| | samples/s | to the step alone | to Keras' best round of all |")
     print("|---|---|---|---|")
     for name, (first, *rest) in rates.items():
-        step = [mine / theirs for mine, theirs in zip(rest, rates[STEP][1:], strict=True)] if STEP in rates else []
+        step = [rate / limit for rate, limit in zip(rest, rates[STEP][1:], strict=True)] if STEP in rates else []
         against = [
-            spread(ratios, ".2f") if ratios else "-" for ratios in (step, [mine / keras for mine in rest if keras])
+            spread(ratios, ".2f") if ratios else "-" for ratios in (step, [rate / keras for rate in rest if keras])
         ]
         if name == "`bc-train`":
             print(f"| `bc-train`, its first epoch: CRCs, decoding, warming up | {first:,.0f} | - | - |")

@@ -1,9 +1,9 @@
-"""The same training in Keras on TensorFlow, as the original project did it; needs nothing of this toolkit.
+"""The same training in Keras on TensorFlow, as in the original project. It does not need this toolkit.
 
 python benchmarks/training_keras.py PICTURES [--precision mixed_bfloat16] [--no-xla] [--threads 1] < turns
 
-PICTURES is a folder of JPEG files with a list of samples, as training.py writes it. For each line on stdin, one
-epoch of `fit`; for each epoch, its seconds on stdout. Needs `pip install tensorflow opencv-python-headless`.
+PICTURES is a folder of JPEG files with a list of samples, as training.py writes it. For each line on stdin, it
+trains an epoch with `fit` and prints its seconds. Needs `pip install tensorflow opencv-python-headless`.
 """
 
 import argparse
@@ -23,7 +23,7 @@ PARAMETERS = 5_022_327
 
 
 class Pictures(keras.utils.PyDataset):  # type: ignore[misc]
-    """Batches that are read, cropped and resized when they are asked for; workers are left as Keras has them."""
+    """Batches that are read, cropped and resized on demand, with Keras' default workers."""
 
     def __init__(self, folder: Path, batch: int) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ class Pictures(keras.utils.PyDataset):  # type: ignore[misc]
 
 
 class Turns(keras.callbacks.Callback):  # type: ignore[misc]
-    """An epoch for each line on stdin, until there is none."""
+    """Begins an epoch for each line on stdin, and exits at its end."""
 
     def on_epoch_begin(self, epoch: int, logs: Any = None) -> None:
         if not sys.stdin.readline():
@@ -65,7 +65,7 @@ class Turns(keras.callbacks.Callback):  # type: ignore[misc]
 
 
 def network() -> Any:
-    """The network of the design, layer by layer."""
+    """The original project's network, layer by layer."""
     return keras.Sequential(
         [
             layers.Input((128, 128, 3)),
@@ -94,9 +94,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pictures", type=Path)
     parser.add_argument("--precision", default="float32", choices=["float32", "mixed_bfloat16"])
-    parser.add_argument("--no-xla", action="store_true", help="not compiled; Keras compiles if not told otherwise")
+    parser.add_argument("--no-xla", action="store_true", help="do not compile; by default Keras compiles")
     parser.add_argument("--batch", type=int, default=256)
-    parser.add_argument("--threads", type=int, default=0, help="of TensorFlow's operators; 0: all cores")
+    parser.add_argument("--threads", type=int, default=0, help="threads of TensorFlow's operators; 0: all cores")
     chosen = parser.parse_args()
     tf.config.threading.set_intra_op_parallelism_threads(chosen.threads)
     tf.config.threading.set_inter_op_parallelism_threads(chosen.threads)

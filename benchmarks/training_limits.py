@@ -1,10 +1,10 @@
-"""What a training costs on made-up recordings: memory, seconds on a GPU, and each layer's share of a step.
+"""The cost of training on synthetic recordings: memory, seconds on a GPU, and each layer's share of a step.
 
-python benchmarks/training_limits.py memory    # the most memory that bc-train takes, 1 epoch
-python benchmarks/training_limits.py gpu       # 10 epochs over 7,650 pictures and their flips
-python benchmarks/training_limits.py products  # each layer of a step, beside matrix products of the same FLOPs
+python benchmarks/training_limits.py memory    # peak memory of bc-train, 1 epoch
+python benchmarks/training_limits.py gpu       # 10 epochs of 7,650 pictures and their flips
+python benchmarks/training_limits.py products  # each layer of a step, compared with matrix products of equal FLOPs
 
-The pictures are noise, as large as a simulator's; neither memory nor speed depends on what they show.
+The pictures are noise, of the size of a simulator's: memory and speed do not depend on their content.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as bc-train has it: before PyTorch is imported
+os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # as in bc-train, before PyTorch is imported
 
 import torch
 from torch import Tensor, nn
@@ -42,15 +42,15 @@ from model.training.trainer import train
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 
-PICTURES: Final = 7_650  # of the original project
+PICTURES: Final = 7_650  # as many as the original project had
 SMALL_BUDGET_MB: Final = 64
 STEP_NS: Final = 100_000_000
 ROUNDS: Final = 5
-MATRIX: Final = 1 << 18  # numbers: it stays in a core's cache
+MATRIX: Final = 1 << 18  # numbers of a matrix that fits a core's cache
 
 
 def made_up_index(folder: Path, pictures: int, config: IndexConfig) -> Path:
-    """An index of one session of that many pictures, all different, as many of each of the config's cameras."""
+    """An index of one session with `pictures` different pictures, equally many of each of the config's cameras."""
     random = np.random.default_rng(0)
     folder.mkdir()
     with LogWriter(folder / "made_up.mcap", {"source": "benchmark"}) as writer:
@@ -72,7 +72,7 @@ def _noise(random: np.random.Generator) -> bytes:
 
 
 def print_memory(folder: Path) -> None:
-    # The centre camera's pictures only, so that both indexes have a full batch to validate on.
+    # only the centre camera, so that both indexes hold out a full batch
     plain = IndexConfig(balance=False, flip=False, cameras=("center",))
     budget = SMALL_BUDGET_MB * 2**20 // ORIGINAL.size_bytes
     small = ("--picture-memory-mb", str(SMALL_BUDGET_MB))
@@ -88,7 +88,7 @@ def print_memory(folder: Path) -> None:
 
 
 def _most_memory_mb(index: Path, runs: Path, flags: tuple[str, ...]) -> float:
-    """Of the whole process of a bc-train."""
+    """The peak memory of a bc-train process in MB."""
     bc_train = "from behavioural_cloning_toolkit import bc_train; bc_train()"
     command = [sys.executable, "-P", "-c", bc_train, "--epochs", "1", "--device", "cpu", *flags]
     process = subprocess.Popen([*command, "--index", str(index), "--runs", str(runs)], stdout=subprocess.DEVNULL)
@@ -100,7 +100,7 @@ def _most_memory_mb(index: Path, runs: Path, flags: tuple[str, ...]) -> float:
 
 
 class Clock:
-    """When each epoch was done: learnt, and its checkpoint written."""
+    """Stores the time at which each epoch ended."""
 
     def __init__(self) -> None:
         self.done_s: list[float] = []
@@ -119,7 +119,7 @@ class Clock:
 
 def print_gpu(folder: Path) -> None:
     if not torch.cuda.is_available():
-        print("no GPU here")
+        print("PyTorch finds no GPU")
         return
     index = made_up_index(folder / "made_up", PICTURES, IndexConfig(balance=False, validation_share=0.0))
     print(f"{torch.cuda.get_device_name()}, PyTorch {torch.__version__}\n")
@@ -138,16 +138,17 @@ def print_gpu(folder: Path) -> None:
 
 
 def print_products(_folder: Path) -> None:
-    """On one thread, in its processor time, which other programs disturb least; the rounds take turns."""
+    """Print the times of layers and matrix products: processor time of one thread, which other programs disturb
+    least; in each round, all take turns."""
     config = TrainConfig(device="cpu", threads=1)
     machine = choose_machine(config)
     network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
     optimizer, steering = Adam(network.parameters(), config.rate), torch.rand(config.batch) * 2 - 1
-    seen: list[tuple[nn.Module, Tensor]] = []
+    layer_inputs: list[tuple[nn.Module, Tensor]] = []
 
     def add(layer: nn.Module, inputs: tuple[Tensor], outputs: Tensor) -> None:
-        seen.append((layer, inputs[0].detach().to(machine.dtype)))
+        layer_inputs.append((layer, inputs[0].detach().to(machine.dtype)))
 
     hooks = [layer.register_forward_hook(add) for layer in network.modules() if hasattr(layer, "weight")]
     network.eval()(pictures[: machine.micro_batch])
@@ -156,8 +157,8 @@ def print_products(_folder: Path) -> None:
     times = config.batch / machine.micro_batch
     parts = {
         str(layer): _layer_and_products(copy.deepcopy(layer).to(machine.dtype), inputs, times, number > 0)
-        for number, (layer, inputs) in enumerate(seen)
-    }  # each with how often a batch needs it
+        for number, (layer, inputs) in enumerate(layer_inputs)
+    }
     network.train()
 
     def step() -> torch.Tensor:
@@ -174,7 +175,7 @@ def print_products(_folder: Path) -> None:
                 begin_s = time.thread_time()
                 job()
                 taken.append(times * (time.thread_time() - begin_s))
-    medians = {name: [statistics.median(taken) for taken in of_jobs] for name, of_jobs in seconds.items()}
+    medians = {name: [statistics.median(taken) for taken in jobs_s] for name, jobs_s in seconds.items()}
     [step_s] = medians.pop("step")
     medians["all of them"] = [sum(column) for column in zip(*medians.values(), strict=True)]
     at_once = f"{machine.micro_batch} at once in {machine.arithmetic}"
@@ -190,15 +191,16 @@ def print_products(_folder: Path) -> None:
 def _layer_and_products(
     layer: nn.Module, inputs: Tensor, times: float, has_gradient: bool
 ) -> list[tuple[Callable[[], object], float]]:
-    """Forward and backward of a layer, and the same as matrix products, each with how often a batch needs it."""
+    """The forward and backward pass of a layer, and both as matrix products, each with its number of calls a
+    batch."""
     weights = list(layer.parameters())
     inputs.requires_grad_(has_gradient)
     outputs: Tensor = layer(inputs)
     gradient, wanted = torch.randn_like(outputs), [*weights, *([inputs] if has_gradient else [])]
     matrix = torch.randn(weights[0].flatten(1).shape, dtype=inputs.dtype)
     rows = outputs.numel() // len(matrix)
-    some = min(rows, MATRIX // matrix.shape[1])
-    before, after = (torch.randn(some, columns, dtype=inputs.dtype) for columns in matrix.T.shape)
+    part = min(rows, MATRIX // matrix.shape[1])
+    before, after = (torch.randn(part, columns, dtype=inputs.dtype) for columns in matrix.T.shape)
 
     def backward_products() -> None:
         after.T @ before
@@ -208,8 +210,8 @@ def _layer_and_products(
     return [
         (lambda: layer(inputs), times),
         (lambda: torch.autograd.grad(outputs, wanted, gradient, retain_graph=True), times),
-        (lambda: before @ matrix.T, times * rows / some),
-        (backward_products, times * rows / some),
+        (lambda: before @ matrix.T, times * rows / part),
+        (backward_products, times * rows / part),
     ]
 
 

@@ -1,9 +1,9 @@
-"""What training.py sets side by side, as far as it is PyTorch: the contender that it names, one epoch a turn.
+"""The PyTorch contenders of training.py, one epoch a turn.
 
 python benchmarks/training_torch.py FOLDER train|step|plain < turns
 
-FOLDER holds an index and the same pictures as JPEG files, as training.py writes them. For each line on stdin, one
-epoch; for each epoch, its seconds on stdout. The first epoch warms up.
+FOLDER holds an index and the same pictures as JPEG files, as training.py writes them. For each line on stdin, it
+trains an epoch and prints its seconds. The first epoch warms up.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from model.training.trainer import train
 
 
 def wait_for_turn() -> None:
-    """Until there is a line on stdin; ends the process when there will be none."""
+    """Wait for a line on stdin. Ends the process at the end of stdin."""
     if not sys.stdin.readline():
         raise SystemExit
 
@@ -47,13 +47,13 @@ def take_turns(epoch: Callable[[], object]) -> None:
 
 
 class Turns:
-    """Between the epochs of a training, it waits for its turn."""
+    """A listener that waits for its turn between the epochs of a training."""
 
     def step(self, step: Step) -> None:
         pass
 
     def epoch(self, epoch: Epoch) -> None:
-        print(epoch.seconds, flush=True)  # as bc-train reports it: without checkpoints
+        print(epoch.seconds, flush=True)  # as in bc-train: without checkpoints
         wait_for_turn()
 
     def close(self) -> None:
@@ -68,7 +68,7 @@ def train_for_real(folder: Path, config: TrainConfig) -> None:
 
 
 def step_alone(folder: Path, config: TrainConfig) -> None:
-    """The same steps of the optimizer on as many random pictures, in memory as the network takes them."""
+    """The same steps of the optimizer on equally many random pictures, which are in memory."""
     count = len(_samples(folder))
     machine = choose_machine(config)
     network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -79,8 +79,8 @@ def step_alone(folder: Path, config: TrainConfig) -> None:
     network.train()
 
     def epoch() -> None:
-        for some, theirs in batches:
-            training_step(network, optimizer, some, theirs, dtype=machine.dtype, micro_batch=machine.micro_batch)
+        for batch, labels in batches:
+            training_step(network, optimizer, batch, labels, dtype=machine.dtype, micro_batch=machine.micro_batch)
 
     take_turns(epoch)
 
@@ -105,8 +105,8 @@ class Files(Dataset[tuple[Tensor, Tensor]]):
 
 
 def plain_pytorch(folder: Path, config: TrainConfig) -> None:
-    """As one would first write it: float32, channels first, a DataLoader with two workers."""
-    choose_machine(config)  # for its threads
+    """A first, simple version: float32, channels first, a DataLoader with two workers."""
+    choose_machine(config)  # sets the number of threads
     network = nn.Sequential(
         *(nn.Conv2d(3, 24, 5), nn.ReLU(), nn.MaxPool2d(2)),
         *(nn.Conv2d(24, 36, 5), nn.ReLU(), nn.MaxPool2d(2)),
@@ -130,7 +130,7 @@ def plain_pytorch(folder: Path, config: TrainConfig) -> None:
 
 
 def _samples(folder: Path) -> list[list[str]]:
-    """Of each sample: file name, "1" if it is mirrored, steering."""
+    """The file name, "1" if mirrored, and the steering of each sample."""
     with (folder / "samples.csv").open(newline="") as stream:
         return list(csv.reader(stream))
 

@@ -1,9 +1,9 @@
-"""The memory that the workbench keeps: bc-web over a project, used like a person would, round after round.
+"""The memory of bc-web with a project, used as a person would, in several rounds.
 
 python benchmarks/web_memory.py PROJECT [--rounds 4] [--pictures 2000]
 
-PROJECT has sessions/, index/ and runs/. A round looks at every kind of page once, or several times. After each
-kind, the memory is printed that is the process's own (USS); it must not grow from round to round.
+PROJECT has sessions/, index/ and runs/. A round requests every kind of page once or several times. After each
+kind, the process's own memory (USS) is printed; it must not grow from round to round.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def wait_for(path: str) -> None:
 
 
 def uses(pictures: int) -> dict[str, Callable[[], object]]:
-    """What a person does, by name. Each is done once a round."""
+    """The actions of a person, by name. Each is done once a round."""
     while b"being read" in plain("/sessions.rows"):
         time.sleep(0.2)
     pages = ["/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs"]
@@ -77,18 +77,19 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         return str(json.loads(plain(f"/sessions/{log}/state"))["fingerprint"])
 
     def predict() -> None:
-        for each in logs[:2]:
-            at = f"/sessions/{each}/predictions/{run}?log={fingerprint(each)}"
-            plain(at, "POST")
-            wait_for(at)
+        for name in logs[:2]:
+            path = f"/sessions/{name}/predictions/{run}?log={fingerprint(name)}"
+            plain(path, "POST")
+            wait_for(path)
 
     def look() -> None:
-        for each in logs[:2]:
-            plain(f"/sessions/{each}/look", "POST")
-            wait_for(f"/sessions/{each}/look")
+        for name in logs[:2]:
+            plain(f"/sessions/{name}/look", "POST")
+            wait_for(f"/sessions/{name}/look")
 
     def rerun() -> None:
-        """Read the viewer's files, 40 MB, and the recording, as its frame does, while its log is held open."""
+        """Read the viewer's files, 40 MB, and the recording, as the viewer's frame does, while the request for its
+        log is open."""
         holding = http.client.HTTPConnection("127.0.0.1", PORT, timeout=600)
         holding.request("POST", f"/sessions/{log}/rerun")
         for line in (answer := holding.getresponse()):
@@ -102,10 +103,10 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
     requests: dict[str, Callable[[], object]] = {
         "lists": lambda: [ask(path) for path in pages * 5],
         "strips, sketches": lambda: at_once(
-            [f"/sessions/{each}/{name}" for each in logs for name in ("strip.jpg", "steering.svg")]
+            [f"/sessions/{name}/{file}" for name in logs for file in ("strip.jpg", "steering.svg")]
         ),
         "session pages": lambda: at_once(
-            [f"/sessions/{each}{part}" for each in logs for part in ("", "/state", "/rows", "/tags", "/links")]
+            [f"/sessions/{name}{part}" for name in logs for part in ("", "/state", "/rows", "/tags", "/links")]
         ),
         "pictures": lambda: at_once(
             [
@@ -114,8 +115,8 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
             ]
         ),
         "conditions": lambda: [
-            ask(f"/sessions/{each}/where?condition=speed_mph%20%3C%20{number}")
-            for each in logs
+            ask(f"/sessions/{name}/where?condition=speed_mph%20%3C%20{number}")
+            for name in logs
             for number in (1, 2)
         ],
         "search": lambda: [ask(f"/sessions.rows?where=speed_mph%20%3E%20{number}") for number in range(12)],
@@ -149,12 +150,12 @@ def main() -> None:
         with subprocess.Popen(line, cwd=asked.project, env={**os.environ, "BC_CACHE": cache}) as server:
             try:
                 process = psutil.Process(server.pid)
-                while not any(each.laddr.port == PORT for each in process.net_connections()):
+                while not any(connection.laddr.port == PORT for connection in process.net_connections()):
                     time.sleep(0.1)
                 print(f"started: {own_mb(process):.0f} MB")
-                did = uses(asked.pictures)
+                actions = uses(asked.pictures)
                 for turn in range(asked.rounds):
-                    for name, use in did.items():
+                    for name, use in actions.items():
                         use()
                         print(f"round {turn + 1}, after {name}: {own_mb(process):.0f} MB", flush=True)
             finally:

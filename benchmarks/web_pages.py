@@ -1,12 +1,12 @@
-"""How long the workbench lets one wait, in Chromium without a window, beside a page that only shows the pictures.
+"""The waiting times of bc-web's pages in headless Chromium, compared with a page that only shows the pictures.
 
 python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20] [--hours-of-use 1]
 
-The mouse moves 30 times a second along the curves of a session of an hour with three cameras. Measured is the time
-from each move until every camera shows its picture, or that of a later move. The page beside it puts the addresses
-of the same bytes, as files, into three <img>. An hour of use is as many pictures as an hour of scrubbing asks for,
-as fast as they come. Ten clients then ask for the pictures alone. On a machine that does other things too, only
-processor times and the ratios of what was measured in turns say something; the load is printed. Needs Playwright,
+The mouse moves 30 times a second along the curves of a session of an hour with three cameras. The benchmark
+measures the time from each move until every camera shows its picture, or that of a later move. The page for
+comparison shows the same bytes, as files, in three <img>. Then ten clients request only pictures. An hour of use
+is the number of pictures that an hour of scrubbing requests, as fast as they come. On a busy machine, only
+processor times and the ratios of measurements in turns are meaningful; the load is printed. Needs Playwright,
 Chromium, and 1.2 GB in the folder for temporary files.
 """
 
@@ -50,7 +50,7 @@ WATCH: Final = """([selector, rows, pattern]) => {
   }, true);
   new MutationObserver(() => {
     const shown = [...document.querySelectorAll('[data-shown]')];
-    const row = Math.min(...shown.map(each => Number(new RegExp(pattern).exec(each.dataset.shown)?.[1] ?? -1)));
+    const row = Math.min(...shown.map(image => Number(new RegExp(pattern).exec(image.dataset.shown)?.[1] ?? -1)));
     while (moves.length && moves[0][1] <= row + tolerance) waits.push(performance.now() - moves.shift()[0]);
   }).observe(document.body, {subtree: true, attributes: true, attributeFilter: ['data-shown']});
 }"""
@@ -75,7 +75,7 @@ document.getElementById("over").addEventListener("mousemove", event => images.fo
 
 
 def pictures() -> list[bytes]:
-    """As large as the simulator's: 10 kB."""
+    """Pictures of noise of the size of the simulator's, 10 kB."""
     made = []
     for number in range(DIFFERENT):
         noise = np.random.default_rng(number).integers(0, 256, (20, 40, 3)).astype(np.uint8)
@@ -98,7 +98,7 @@ def write_session(path: Path, minutes: float, jpegs: list[bytes]) -> int:
 
 @contextlib.contextmanager
 def process(code: str, folder: Path, *arguments: str) -> Iterator[psutil.Process]:
-    """Python code that serves on PORT, from when it answers."""
+    """Run Python code that serves on PORT. Yields its process when it answers."""
     environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "XDG_CACHE_HOME": str(folder / "cache")}
     with subprocess.Popen([sys.executable, "-c", code, *arguments], cwd=folder, env=environment) as started:
         try:
@@ -182,7 +182,7 @@ def scroll(page: Page) -> list[float]:
 
 
 def scrub(page: Page, selector: str, rows: int, pattern: str, seconds: float) -> list[float]:
-    """Milliseconds from each move of the mouse to its pictures."""
+    """The milliseconds from each move of the mouse to its pictures."""
     box = page.locator(selector).first.bounding_box()
     assert box is not None  # noqa: S101
     page.evaluate(WATCH, [selector, rows, pattern])
@@ -199,7 +199,7 @@ def scrub(page: Page, selector: str, rows: int, pattern: str, seconds: float) ->
 
 
 def clients(rows: int, seconds: float) -> list[float]:
-    """Milliseconds for a picture, of ten who each ask for thirty a second."""
+    """The milliseconds for each picture, with ten clients that each request thirty a second."""
     waits: list[float] = []
 
     def ask(number: int) -> None:
@@ -221,7 +221,7 @@ def clients(rows: int, seconds: float) -> list[float]:
 
 
 def hours_of_use(server: psutil.Process, rows: int, hours: float) -> None:
-    """The pictures of three cameras, thirty times a second."""
+    """Request the pictures of three cameras for `hours` of scrubbing, and print processor time and memory."""
     pictures = int(hours * 3600 * MOVES_HZ) * len(CAMERAS)
     connection = http.client.HTTPConnection("127.0.0.1", PORT)
     memory_mb, used_s = [server.memory_info().rss / 1e6], cpu_s(server)
@@ -232,7 +232,7 @@ def hours_of_use(server: psutil.Process, rows: int, hours: float) -> None:
             memory_mb.append(server.memory_info().rss / 1e6)
     print(
         f"{pictures:,} pictures, {hours:g} h of scrubbing: {(cpu_s(server) - used_s) / pictures * 1e3:.2f} ms of a"
-        f" processor each; memory {', '.join(f'{each:.0f}' for each in memory_mb)} MB; {load()}"
+        f" processor each; memory {', '.join(f'{size_mb:.0f}' for size_mb in memory_mb)} MB; {load()}"
     )
 
 
@@ -277,7 +277,7 @@ def main() -> None:
                 used_s = cpu_s(server)
                 waits = scrub(page, "#curves .u-over", rows, r"pictures/\w+/(\d+)", asked.seconds)
                 memory_mb.append(server.memory_info().rss / 1e6)
-                of_workbench = waits
+                workbench_waits = waits
                 print(
                     f"{rows:,} rows: opened in {opened_s:.2f} s; from a move to its pictures {percentiles(waits)};"
                     f" {(cpu_s(server) - used_s) / asked.seconds:.2f} of a processor; {load()}"
@@ -288,13 +288,14 @@ def main() -> None:
                 memory_mb.append(server.memory_info().rss / 1e6)
                 if turn:
                     hours_of_use(server, rows, asked.hours_of_use)
-                print("memory when opened, scrubbed, asked:", ", ".join(f"{each:.0f} MB" for each in memory_mb))
+                shown_mb = ", ".join(f"{size_mb:.0f} MB" for size_mb in memory_mb)
+                print(f"memory when opened, after scrubbing, after the clients: {shown_mb}")
             with static_server(folder) as server:
                 page = browser.new_page(viewport={"width": 1280, "height": 800})
                 page.goto(f"http://127.0.0.1:{PORT}/")
                 used_s = cpu_s(server)
                 waits = scrub(page, "#over", rows, r"\.(\d+)$", asked.seconds)
-                ratios = np.percentile(of_workbench, [50, 95]) / np.percentile(waits, [50, 95])
+                ratios = np.percentile(workbench_waits, [50, 95]) / np.percentile(waits, [50, 95])
                 print(
                     f"a static page of the same pictures: {percentiles(waits)};"
                     f" {(cpu_s(server) - used_s) / asked.seconds:.2f} of a processor; {load()};"

@@ -1,5 +1,4 @@
-"""Driving: the network's command for each telemetry of a simulator, the drive's log, and closed-loop
-evaluation."""
+"""Driving: the network's command for each telemetry message, the log of the drive, and closed-loop evaluation."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

@@ -1,4 +1,4 @@
-"""A person at the wheel of a drive: the page is shown each frame, and what it asks for is done."""
+"""A person at the wheel of a drive: send each frame to the page, and carry out the page's requests."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from recorder.teleop.recording import LastRows
 from recorder.teleop.wheel import Wheel
 
 MAX_LISTED: Final = 1000  # takeovers that the page lists at the end
-PUT_BACK: Final = "the person has the car put back on its line"
-_LOOKS_EVERY_S: Final = 0.1  # for the page
+PUT_BACK: Final = "the person puts the car back on its line"
+_POLL_S: Final = 0.1  # while it waits for the page
 
 
 class AtWheel:
     """The page of a drive. Its methods return at once."""
 
     def __init__(self, wheel: Wheel, config: DriveConfig, eye: EyePictures | None = None) -> None:
-        """`eye` renders what the page is shown, if the simulator is the built-in one."""
+        """`eye` renders the page's pictures, if the simulator is the built-in one."""
         self.person = PersonTakeover(wheel, config.set_speed_mph, config.car)
         self.is_end_asked = False
-        """True once the page has asked for the end of the drive."""
+        """True after the page has requested the end of the drive."""
         self._eye = eye
         self._is_put_back_asked = False
         self._wheel = wheel
@@ -38,11 +38,11 @@ class AtWheel:
         self._counted = 0
         self._was_human = False
         self._began_s: float | None = None
-        self._driven = ""  # how far, and how well
+        self._driven = ""  # laps and interventions, in words
         self.last_rows = LastRows(wheel)
 
     def attend(self) -> list[str]:
-        """Do what the page asks for; the events of that."""
+        """Carry out the page's requests. Returns their events."""
         events: list[str] = []
         for request in self._wheel.requests():
             if request.kind == "hand_back":
@@ -58,23 +58,23 @@ class AtWheel:
                 events.append(PUT_BACK)
                 self._wheel.event(PUT_BACK)
             elif request.kind == "put_back":
-                events.append("the page asks to put the car back: only its simulator can")
+                events.append("the page cannot put the car back: only its simulator can")
         return events
 
     def puts_back(self) -> bool:
-        """True if the next command is to put the car back: once each time that the page has asked for it."""
+        """True if the next command must put the car back: once for each request of the page."""
         is_asked, self._is_put_back_asked = self._is_put_back_asked, False
         return is_asked
 
     def wait_for_page(self, stopped: StopEvent) -> bool:
-        """Wait for the person's page; False if the wait is ended."""
+        """Wait until the person's page is open. Returns False if `stopped` is set first."""
         while not self._wheel.pages:
-            if stopped.wait(_LOOKS_EVERY_S):
+            if stopped.wait(_POLL_S):
                 return False
         return True
 
     def show(self, decision: Decision, row: int) -> None:
-        """Show an answered telemetry, which is that row of the log."""
+        """Show an answered telemetry message, row `row` of the log."""
         if (telemetry := decision.telemetry) is None:
             return
         now_s, world = time.monotonic(), telemetry.world
@@ -118,10 +118,10 @@ class AtWheel:
             self._eye.offer(EyeMoment(row, pose, state, telemetry.picture))
 
     def event(self, text: str, *, is_problem: bool) -> None:
-        """Show a line about what happened."""
+        """Show a line about an event."""
         self._wheel.event(text, is_problem=is_problem)
 
     def end(self, log: Path, rows: int) -> None:
-        """The drive has ended, and its log is finished."""
+        """Tell the page that the drive has ended and its log is finished."""
         why = f"the drive has ended{self._driven}"
         self._wheel.end({"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": why})

@@ -1,4 +1,4 @@
-"""`bc-drive`: a trained network drives the simulator."""
+"""`bc-drive`: drive the simulator with a trained network."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
         is_supervised = config.takeover is not None
         simulator = BuiltInSimulator(config.simulator, config.laps, is_real_time, is_supervised, config.start)
     run = find_run(config.run, config.runs)
-    settings, pilot = _loaded(config, settings, run)
+    settings, pilot = _load(config, settings, run)
     prepare_to_drive()
-    with contextlib.ExitStack() as page:  # it outlives the drive: it has what comes next
+    with contextlib.ExitStack() as page:  # it outlives the drive, because it shows the next steps
         with (
             StatusLine() as status,
             stop_signals(max_signals=2) as stopped,
@@ -93,8 +93,8 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                 notify=_notify,
                 show_status=status.show,
             )
-            with contextlib.ExitStack() as after, server:  # a file of the viewer's is whole when the log is
-                after.enter_context(_shown(config, server.session.writer))
+            with contextlib.ExitStack() as after, server:  # the viewer ends after the log, so its file is complete
+                after.enter_context(_viewer(config, server.session.writer))
                 if simulator is None:
                     waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
                     _notify(waiting)
@@ -103,7 +103,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
                     if at_wheel is not None:
                         _notify("the drive begins when you open the page; Ctrl-C ends it")
                         if not at_wheel.wait_for_page(stopped):
-                            raise DriveError(f"{path}: nothing was driven: nobody opened the page")
+                            raise DriveError(f"{path}: nothing was driven: the page was not opened")
                     drive_built_in(server, simulator, stopped, shows_progress=False)
                 if server.session.is_empty:
                     raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
@@ -121,7 +121,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
 def _at_wheel(
     config: Drive, log: Path, run: str, settings: DriveConfig, page: contextlib.ExitStack
 ) -> Iterator[AtWheel | None]:
-    """The wheel of a person who supervises the network, None without one; its page lasts as long as `page`."""
+    """The wheel of a person who supervises the network, or None. The page lasts as long as `page`."""
     if config.takeover != "me":
         yield None
         return
@@ -134,7 +134,7 @@ def _at_wheel(
     if config.page:
         check_wheel_page()
     where = config.simulator or f"the simulator that connects to {config.host}:{config.port}"
-    # the simulator sends small pictures, and where its car is: the page's are rendered here
+    # the simulator sends small pictures and the car's pose: this process renders the page's pictures
     simulation = None if config.simulator is None else Simulation(config.simulator)
     about = hello(
         "drive",
@@ -152,8 +152,8 @@ def _at_wheel(
         yield AtWheel(wheel, settings, eye)
 
 
-def _loaded(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig, Pilot]:
-    """The settings of a drive, with the car that is driven, where it is known; and the network, ready to drive."""
+def _load(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig, Pilot]:
+    """The settings of a drive with its car, if that is known, and the network, ready to drive."""
     from drive.driven_car import driven_car, other_steering
     from model import load_pilot
     from model.runs.run_folder import load_named
@@ -179,12 +179,12 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     run = find_run(config.run, config.runs)
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
-        settings, pilot = _loaded(config, settings, run)
+        settings, pilot = _load(config, settings, run)
         source = {"simulator": car.name, "gym.args": json.dumps(car.settings.args), "gym.action": car.actions.text}
         metadata = drive_metadata(pilot, settings) | source
         writer = LogWriter(path, metadata, overwrite=config.force, live=True)
         session = after.enter_context(DriveSession(pilot, settings, writer, _notify))
-        after.enter_context(_shown(config, writer))
+        after.enter_context(_viewer(config, writer))
         episodes = []
         for episode in drive_gymnasium(session, car, config.seed, config.environment.episodes, stopped):
             episodes.append(episode)
@@ -201,28 +201,29 @@ def _notify(text: str) -> None:
     print_message(f"bc-drive: {text}")
 
 
-def _shown(config: Drive, writer: LogWriter) -> contextlib.AbstractContextManager[object]:
-    """The viewer of a drive, if there is one: a process of its own, which reads the log as it grows. Nothing leads
-    from it to the drive."""
-    viewer = _viewer_target(config, writer.path)
-    if viewer is None:
+def _viewer(config: Drive, writer: LogWriter) -> contextlib.AbstractContextManager[object]:
+    """The viewer of a drive, if wanted: a separate process that reads the growing log. It cannot affect the
+    drive."""
+    target = _viewer_target(config, writer.path)
+    if target is None:
         return contextlib.nullcontext()
-    return preview(writer.part, viewer, overwrite=config.force, idle_priority=True, notify=print_message)
+    return preview(writer.part, target, overwrite=config.force, idle_priority=True, notify=print_message)
 
 
 def _viewer_target(config: Drive, log: Path) -> str | None:
-    """The target of the viewer, None for none; without a display, a notice names the command that shows the
+    """The target of the viewer; None for no viewer. Without a display, a notice names the command that shows the
     log."""
     if config.viewer == "auto" and not has_display():
         _notify(f"watch it with `bc-play {shlex.quote(str(log))} --follow`")
         return None
     if config.viewer == "auto":
-        return "window" if sys.platform != "win32" else None  # there a log that grows cannot be shown
+        return "window" if sys.platform != "win32" else None  # Windows cannot show a growing log
     return None if config.viewer == "off" else config.viewer
 
 
 def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) -> int:
-    """Print the summaries of a run's drives; the exit code. Raises DriveError if no telemetry could be used."""
+    """Print the summaries of a run's drives. Returns the exit code. Raises DriveError if no telemetry could be
+    used."""
     from drive.log.summary_lines import summary_lines
 
     code = DONE
@@ -236,7 +237,7 @@ def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) ->
         if session.log.dropped_pictures or session.log.dropped_rows:
             code = warn(
                 f"{log}: the disk was too slow: {counted(session.log.dropped_pictures, 'picture')} and"
-                f" {counted(session.log.dropped_rows, 'row')} were not written; log to a faster one with --log"
+                f" {counted(session.log.dropped_rows, 'row')} were not written; log to a faster disk with --log"
             )
     if all(session.summary.is_all_lost for session in sessions):
         raise DriveError(f"nothing was driven: {sessions[0].summary.no_drive_reason}")
@@ -245,14 +246,16 @@ def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) ->
 
 
 def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> None:
-    """Print the command that learns from takeovers, whose pictures are there if a person or an expert stood by; or
-    else the one that shows the last drive."""
+    """Print the next command. With --takeover, it learns from the takeovers, if there are any; else it shows the
+    last drive."""
     from model.runs.run_arguments import run_argument
 
-    taken = [session for session in sessions if session.summary.takeovers + session.summary.manual_stretches]
-    if config.takeover is not None and taken:
-        logs = " ".join(shlex.quote(str(session.writer.path)) for session in taken)
-        times = sum(session.summary.takeovers + session.summary.manual_stretches for session in taken)
+    with_takeovers = [
+        session for session in sessions if session.summary.takeovers + session.summary.manual_stretches
+    ]
+    if config.takeover is not None and with_takeovers:
+        logs = " ".join(shlex.quote(str(session.writer.path)) for session in with_takeovers)
+        times = sum(session.summary.takeovers + session.summary.manual_stretches for session in with_takeovers)
         command = f"bc-train --init {run_argument(run)} --takeovers {logs}"
         print_next(command, f"it learns from {counted(times, 'takeover')}")
     elif driven := [session for session in sessions if session.log.frames]:

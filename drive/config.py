@@ -15,14 +15,14 @@ if TYPE_CHECKING:  # NumPy
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """The settings of a drive. Raises DriveError, naming the flag, for a value that makes no sense."""
+    """The settings of a drive. Raises DriveError, which names the flag, for an invalid value."""
 
     set_speed_mph: float = 10.0
-    slow_in_curves: bool = False  # drive slower where the steering that is sent would throw the car outwards
+    slow_in_curves: bool = False  # drive slower if the steering would push the car outwards at the set speed
     smooth_s: float = 0.0  # time constant of the steering's smoothing; 0: off
-    max_steering_per_s: float = 0.0  # how fast the steering may change; 0: no limit
-    takeover: bool = False  # the simulator's expert drives where the network leaves the lane
-    car: Car | None = None  # that is driven; None: unknown, and taken for Udacity's
+    max_steering_per_s: float = 0.0  # largest change of the steering in a second; 0: no limit
+    takeover: bool = False  # the simulator's expert takes over when the network leaves the lane
+    car: Car | None = None  # the driven car; None: unknown, treated as Udacity's
 
     def __post_init__(self) -> None:
         if not 0 < self.set_speed_mph <= MAX_SPEED_MPH:

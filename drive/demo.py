@@ -1,4 +1,4 @@
-"""`bc-demo`: runs the commands of the whole chain on the built-in simulator, as a user would type them."""
+"""`bc-demo`: run the commands of the whole chain on the built-in simulator, as a user would type them."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ class Demo:
 
 
 _MADE: Final = ("sessions", "index", "runs", "drives")
-"""The folders that its commands make."""
+"""The folders that the demo's commands make."""
 
 
 def commands_of(config: Demo) -> list[str]:
-    """The commands of the demo, in their order."""
+    """The commands of the demo, in order."""
     tracks: tuple[str, ...] = ("lake", "mountain")
     share, laps, epochs = config.share, config.laps, config.epochs
     network = ""
     if config.quick:
         tracks, share, laps, epochs = ("lake",), 0.15, 0.15, 5
         network = " --network small"
-    training = f"--recipe people --epochs {epochs}"  # in so few, altered pictures were not measured
+    training = f"--recipe people --epochs {epochs}"  # altered pictures were not measured with so few epochs
     drive = f"drives/demo-{tracks[-1]}-10mph"
     return [
         *(f"bc-record {track} --track {track} --laps {share:g}" for track in tracks),
@@ -72,7 +72,7 @@ def demo(config: Demo) -> int:
     commands = commands_of(config)
     print_result(f"working in {folder}")
     if (activate := _activation_command()) is not None:
-        print_result(f"to type these commands yourself, there: {activate}")
+        print_result(f"to type these commands yourself in that folder: {activate}")
     start_s, code = time.monotonic(), DONE
     for number, command in enumerate(commands, start=1):
         begin_s = time.monotonic()
@@ -82,7 +82,9 @@ def demo(config: Demo) -> int:
         except KeyboardInterrupt:
             if any((folder / name).exists() for name in _MADE):
                 cd = f"`cd {shlex.quote(str(folder))}`"
-                print_message(f"bc-demo: what was made is in {folder}; to go on there, type the commands: {cd}")
+                print_message(
+                    f"bc-demo: the results are in {folder}; to continue, type the next commands after {cd}"
+                )
             elif is_new:
                 folder.rmdir()
             raise
@@ -99,7 +101,7 @@ def demo(config: Demo) -> int:
 
 
 def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
-    """Raise UserError, or UsageError, now for settings that a later step would refuse, after minutes."""
+    """Raise UserError or UsageError for settings that a later step would refuse after minutes."""
     if config.quick and (flags := flags_given(config, "epochs", "laps", "share")):
         raise UsageError(f"{flags}: --quick sets these itself: give one or the other")
     if existing := [name for name in _MADE if (folder / name).exists()]:
@@ -117,7 +119,7 @@ def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
 
 
 def _activation_command() -> str | None:
-    """The line after which a shell finds the commands; None if it does already."""
+    """The line that makes the shell find the commands; None if it finds them already."""
     if shell_command("bc-play") == "bc-play":
         return None
     activate = Path(sysconfig.get_path("scripts")) / "activate"
@@ -125,7 +127,7 @@ def _activation_command() -> str | None:
 
 
 def _program(name: str) -> str:
-    # beside this Python first: its virtual environment need not be active
+    # first next to this Python: its virtual environment need not be active
     program = shutil.which(name, path=sysconfig.get_path("scripts")) or shutil.which(name)
     if program is None:
         raise UserError(f"{name}: not next to {sys.executable}; install the toolkit again")
@@ -133,13 +135,13 @@ def _program(name: str) -> str:
 
 
 def _run(command: str, folder: Path) -> int:
-    """Run a command to its end; its exit code. Raises UserError if it has failed."""
+    """Run a command to its end. Returns its exit code. Raises UserError if it fails."""
     name, *arguments = shlex.split(command)
-    drain()  # it prints by itself
+    drain()  # before the command prints
     process = subprocess.Popen([_program(name), *arguments], cwd=folder)
     try:
         code = process.wait()
-    except KeyboardInterrupt:  # Ctrl-C reaches it too; `kill` does not
+    except KeyboardInterrupt:  # Ctrl-C reaches the command, too; `kill` does not
         with contextlib.suppress(ProcessLookupError):
             process.terminate()
         process.wait()

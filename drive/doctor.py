@@ -1,6 +1,7 @@
-"""A project at a glance: what is in its folders, what is odd, how good the newest network is, what to do next.
+"""A project at a glance: the contents of its folders, odd rows, the verdict on the newest run, and the next
+commands.
 
-It reads numbers alone: the ends of logs, the metadata of the index, the text files of the newest run.
+It reads no pictures: only the ends of logs, the metadata of the index, and the text files of the newest run.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from recorder.upkeep.log_info import LogInfo, describe
 
 MAX_COMMANDS: Final = 3
 _MAX_NAMED: Final = 5
-_MUCH: Final = 0.05  # of a log's rows are odd: worth a look
+_MUCH: Final = 0.05  # share of odd rows in a log that is worth a look
 _S_PER_MIN: Final = 60.0
 
 
@@ -31,21 +32,21 @@ _S_PER_MIN: Final = 60.0
 class Diagnosis:
     here: list[str] = field(default_factory=list)  # a line for each folder
     odd: list[str] = field(default_factory=list)
-    good: list[str] = field(default_factory=list)  # how good the newest run is
-    advice: list[Advice] = field(default_factory=list)  # the next commands, the first one first
-    problems: list[str] = field(default_factory=list)  # what could not be read
+    good: list[str] = field(default_factory=list)  # the verdict on the newest run
+    advice: list[Advice] = field(default_factory=list)  # the next commands, the most important first
+    problems: list[str] = field(default_factory=list)  # files that could not be read
 
 
 def examine(project: Path | str = ".") -> Diagnosis:
-    """Examine the folders sessions, index, runs and drives of a project; commands are to be typed in it. What
-    cannot be read is a problem of its own, and hides nothing else."""
-    project, diagnosis, wanted = Path(project), Diagnosis(), _Wanted()
+    """Examine the folders sessions, index, runs and drives of a project. The commands are for the project's
+    folder. A file that cannot be read becomes a problem; the others are still examined."""
+    project, diagnosis, wanted = Path(project), Diagnosis(), _Commands()
     sessions = _logs(project, "sessions", diagnosis, wanted)
     _index(project, diagnosis, wanted, has_sessions=bool(sessions))
     _runs(project, diagnosis, wanted, has_sessions=bool(sessions))
     drives = _logs(project, "drives", diagnosis, wanted)
     if not sessions and not drives:
-        wanted.begin.append(Advice("see all of it at work", "bc-demo"))
+        wanted.begin.append(Advice("see the whole chain at work", "bc-demo"))
         wanted.begin.append(Advice("the built-in simulator's expert drives", "bc-record lake --track lake"))
         wanted.begin.append(Advice("import a drive from elsewhere", "bc-record mine --from ~/recording"))
     if drives:
@@ -56,8 +57,8 @@ def examine(project: Path | str = ".") -> Diagnosis:
 
 
 @dataclass(frozen=True)
-class _Wanted:
-    """Commands by how much they matter."""
+class _Commands:
+    """Suggested commands, the most important list first."""
 
     mend: list[Advice] = field(default_factory=list)
     begin: list[Advice] = field(default_factory=list)
@@ -66,13 +67,16 @@ class _Wanted:
     last: list[Advice] = field(default_factory=list)
 
     def first(self, count: int) -> list[Advice]:
-        always = [Advice("pages of all that is here", "bc-web --open"), Advice("what each log holds", "bc-log ls")]
-        every = [*self.mend, *self.begin, *self.learn, *self.look, *self.last, *always]
-        return list({advice.command: advice for advice in reversed(every)}.values())[::-1][:count]
+        always = [
+            Advice("pages of the whole project", "bc-web --open"),
+            Advice("what each log holds", "bc-log ls"),
+        ]
+        ordered = [*self.mend, *self.begin, *self.learn, *self.look, *self.last, *always]
+        return list({advice.command: advice for advice in reversed(ordered)}.values())[::-1][:count]
 
 
-def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Wanted) -> list[LogInfo]:
-    """The logs of a folder that can be read."""
+def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Commands) -> list[LogInfo]:
+    """The readable logs of a folder."""
     logs = [path for path in logs_in(project / name) if not is_being_written(path)]
     infos: list[LogInfo] = []
     broken: list[Path] = []
@@ -99,8 +103,8 @@ def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Wanted) -> li
     return infos
 
 
-def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: _Wanted) -> None:
-    """The logs with the most odd rows; what is tagged is known."""
+def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: _Commands) -> None:
+    """Add the logs with the most odd rows to the diagnosis, without logs that a person has tagged."""
     odd = sorted(
         (info for info in logs if info.odd and all(tag.name == FINE for tag in info.tags)),
         key=lambda info: -sum(info.odd_rows.values()),
@@ -112,14 +116,15 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diag
         longest = max(stretches, key=lambda stretch: stretch.last_row - stretch.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
         diagnosis.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
-        perhaps = sum(stretch.rows for stretch in stretches if stretch.is_learnt)  # the rest is left out by itself
-        if name == "sessions" and perhaps > _MUCH * info.rows:
-            wanted.look.append(Advice(f"{counted(perhaps, 'odd row')} of {info.rows:,}", f"bc-log check {path}"))
+        # `bc-index` leaves out the other stretches
+        learnt = sum(stretch.rows for stretch in stretches if stretch.is_learnt)
+        if name == "sessions" and learnt > _MUCH * info.rows:
+            wanted.look.append(Advice(f"{counted(learnt, 'odd row')} of {info.rows:,}", f"bc-log check {path}"))
     if len(odd) > _MAX_NAMED:
         diagnosis.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 
 
-def _index(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
+def _index(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
     from dataset import sessions_not_indexed
     from dataset.index.not_learnt import has_earlier_rules
     from dataset.parquet_file import read_metadata
@@ -138,19 +143,19 @@ def _index(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions
     counts = stored.get("counts")
     if not isinstance(counts, dict):
         diagnosis.problems.append(
-            f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` makes it anew"
+            f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` rebuilds it"
         )
         wanted.mend.append(Advice("the index cannot be read", "bc-index"))
         return
-    training = sum(_number(of_session, "training") for of_session in counts.values())
-    held_out = sum(_number(of_session, "validation") for of_session in counts.values())
+    training = sum(_number(session_counts, "training") for session_counts in counts.values())
+    held_out = sum(_number(session_counts, "validation") for session_counts in counts.values())
     sizes = f"{counted(training, 'frame')} for training, {held_out:,} held out"
     diagnosis.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
     if has_earlier_rules(stored):
         diagnosis.odd.append(
-            "index: an earlier version made it, which held out crashes and did not know all that is odd"
+            "index: made by an earlier version, which held out crashes and did not recognise all odd rows"
         )
-        wanted.learn.append(Advice("training and validation then leave out the odd rows", "bc-index"))
+        wanted.learn.append(Advice("it leaves the odd rows out of training and validation", "bc-index"))
     tags = map(tags_path, logs_in(sessions)) if has_sessions else ()
     if any(_time_ns(path) > _time_ns(index / SAMPLES_NAME) for path in tags):
         wanted.learn.append(Advice("tags are newer than the index", "bc-index"))
@@ -163,7 +168,7 @@ def _index(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions
         wanted.learn.append(Advice(f"{counted(len(absent), 'session')} not in the index", "bc-index"))
 
 
-def _runs(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions: bool) -> None:
+def _runs(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
     from dataset.samples.samples_format import SAMPLES_NAME
     from model.runs.run_files import CONFIG, WEIGHTS
     from model.runs.run_summary import judge
@@ -174,7 +179,7 @@ def _runs(project: Path, diagnosis: Diagnosis, wanted: _Wanted, *, has_sessions:
         diagnosis.here.append("runs: none")
         if has_sessions:
             wanted.learn.append(Advice("no run yet", "bc-train"))
-            wanted.last.append(Advice("how good it is then", "bc-eval"))
+            wanted.last.append(Advice("how good the run is", "bc-eval"))
         return
     newest = max(runs, key=lambda run: max(_time_ns(run / WEIGHTS), _time_ns(run / CONFIG)))
     name = printable(newest.name)
@@ -190,7 +195,7 @@ _Result = TypeVar("_Result")
 
 
 def _tried(read: Callable[[], _Result], place: Path, diagnosis: Diagnosis) -> _Result | None:
-    """What `read` gives; None where it fails, which is a problem of that place."""
+    """The result of `read`; None if it fails, with a problem that names `place`."""
     try:
         return read()
     except Exception as error:

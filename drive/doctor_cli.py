@@ -1,4 +1,4 @@
-"""`bc-doctor`: what is in a project, what is odd in it, how good it is, and the next commands."""
+"""`bc-doctor`: summarise a project: its folders, odd rows, the newest run, and the next commands."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def doctor(config: Doctor) -> int:
         )
     from drive.doctor import examine  # NumPy, Arrow
 
-    with contextlib.chdir(config.project):  # the commands are to be typed there
+    with contextlib.chdir(config.project):  # the printed commands are for this folder
         diagnosis = examine()
     if config.json:
         print_result(json.dumps(asdict(diagnosis)))

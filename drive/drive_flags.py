@@ -1,4 +1,4 @@
-"""The flags of `bc-drive`, and which of them go together."""
+"""The flags of `bc-drive`, and the combinations that are refused."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Drive:
 
 
 def with_default_driver(words: Sequence[str]) -> list[str]:
-    """The words of a command line, in which a bare `--takeover` is `--takeover expert`."""
+    """The words of a command line, with `--takeover expert` for a bare `--takeover`."""
     completed = list(words)
     for place in reversed([place for place, word in enumerate(words) if word == "--takeover"]):
         if words[place + 1 : place + 2] not in (["expert"], ["me"]):
@@ -97,21 +97,21 @@ def with_default_driver(words: Sequence[str]) -> list[str]:
 
 
 def refuse_contradictions(config: Drive) -> None:
-    """Raise UsageError for flags that would be passed over, and for what is no port."""
+    """Raise UsageError for flags that would have no effect, and for an invalid port, seed or start."""
     if config.log is not None and (flags := flags_given(config, "drives")):
         raise UsageError(f"{flags}: not needed with --log, which names the log: give one of them")
     if config.environment.gym is not None:
         others = ("simulator", "laps", "start", "real_time", "takeover", "sessions", "host", "port")
         if flags := flags_given(config, *others):
             raise UsageError(
-                f"{flags}: not with --gym: an environment has no port and does not say where its car is"
+                f"{flags}: not with --gym: an environment has no port and does not report its car's position"
             )
         if config.seed < 0:
             raise UsageError(f"--seed {config.seed}: a whole number from 0 on was expected")
         return
     if flags := flags_given(config.environment, *GYM_FLAGS) or flags_given(config, "seed"):
         raise UsageError(f"{flags}: only with --gym ID")
-    if config.port:  # 0: a free one
+    if config.port:  # 0: any free port
         check_port("--port", config.port)
     if config.takeover != "me" and (flags := flags_given(config, "open", "page", "sessions")):
         raise UsageError(f"{flags}: only with --takeover me")

@@ -1,4 +1,4 @@
-"""The server of a drive: every telemetry is answered by the network's command, and every answer is logged."""
+"""The server of a drive: answers every telemetry message with the network's command, and logs every answer."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ from recorder.log.session_car import metadata_of as car_metadata
 from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 
 NO_TELEMETRY_S: Final = 3.0
-"""A client that has connected and sends no telemetry for so long is in its menu, or no simulator."""
+"""A client that sends no telemetry for this time is in its menu, or is not a simulator."""
 MAX_SIMULATORS: Final = 8
-"""The most at once; each has a log of its own. One more gets `manual`: it drives by itself."""
+"""Maximum number of simulators at once, each with its own log. A further one gets `manual`: it drives by
+itself."""
 WAITING: Final = "connected, waiting for telemetry"
 MENU: Final = "connected, but no telemetry comes: choose Autonomous Mode in the simulator"
 MAX_CONNECTION_NOTICES: Final = 3
-"""The connections of a simulator that comes and goes which get notices of their own; then a last one follows."""
+"""If a simulator connects again and again, only this many connections get notices; then a last notice follows."""
 BRAKING_S: Final = 5.0
-"""From 30 mph the car stands in under 3 s; a simulator that does not go on is not waited for any longer."""
+"""Time limit for braking at the end. From 30 mph, the car stands in under 3 s."""
 
 
 class DriveServer:
-    """Drives the real simulator and modern Socket.IO clients on one port.
+    """Drives Udacity's simulator and modern Socket.IO clients on one port.
 
-    The drive is logged to `log`. A second simulator at the same time is driven too, and logged beside it. As a
-    context manager it finishes the logs.
+    The drive is logged to `log`. A second simulator at the same time is driven, too, with its own log next to
+    `log`. As a context manager, it finishes the logs.
     """
 
     def __init__(
@@ -57,13 +58,13 @@ class DriveServer:
         notify: Callable[[str], None] = lambda text: None,
         show_status: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Opens the log and starts to listen; port 0 takes a free one.
+        """Opens the log and starts to listen. Port 0 takes a free port.
 
-        `notify` gets a line for each thing that happens, `show_status` ten times a second the status of the drive.
-        `track`: the simulator is the built-in one, on that track. Its silence is no fault, for it loses no
-        telemetry; it does not come back. A person takes over from the network `at_wheel`, in the first
-        simulator that connects.
-        Raises UserError if `log` exists and may not be overwritten, ListenError if the port is taken.
+        `notify` gets a line for each event; `show_status` gets the status of the drive ten times a second. With
+        `track`, the simulator is the built-in one on that track: it loses no telemetry, so its silence is no
+        fault, and it does not connect again. `at_wheel` lets a person take over from the network, in the first
+        simulator that connects. Raises UserError if `log` exists and may not be overwritten, ListenError if the
+        port is taken.
         """
         self._pilot = pilot
         self.config = replace(config, car=built_in()) if track is not None else config
@@ -75,9 +76,9 @@ class DriveServer:
         self._notified: set[str] = set()
         self._connections = 0
         self._driven: dict[str, DriveSession] = {}
-        self._silent_since_s: dict[str, float] = {}  # no telemetry yet -> when it connected
+        self._silent_since_s: dict[str, float] = {}  # clients without telemetry yet: time of their connection
         self._stopping_since_s: float | None = None
-        self._stopping: set[DriveSession] = set()  # those that are braked at the end
+        self._stopping: set[DriveSession] = set()  # sessions that are braked at the end
         self.sessions: list[DriveSession] = []
         with ExitStack() as stack:
             self._stack = stack
@@ -90,19 +91,19 @@ class DriveServer:
 
     @property
     def session(self) -> DriveSession:
-        """The first simulator's session; its log has the path that the caller gave."""
+        """The first simulator's session, with the log at the path that the caller gave."""
         return self.sessions[0]
 
     @property
     def no_drive_reason(self) -> str:
-        """The notice about a drive without a single telemetry."""
+        """The reason for a drive without telemetry, and the remedy."""
         if self._connections:
-            return "a simulator connected, but sent no telemetry; choose Autonomous Mode there"
+            return "a simulator connected, but sent no telemetry; choose its Autonomous Mode"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
 
     def run(self, until: Callable[[], bool] = lambda: False, stopped: StopEvent | None = None) -> None:
-        """Serve until `until()` is true, `stopped` is set, or a log cannot be written any more; then brake every
-        car to a stand, unless `stopped` is set again.
+        """Serve until `until()` is true, `stopped` is set, or a log cannot be written. Then brake every car to a
+        stand, unless `stopped` is set again.
 
         Raises UserError if a log could not be written.
         """
@@ -125,14 +126,15 @@ class DriveServer:
             raise self._failure
 
     def stop(self) -> None:
-        """From now on every car is braked to a stand."""
+        """Brake every car to a stand from now on."""
         self._stopping_since_s = time.monotonic()
         for session in self._driven.values():
             self._brake(session)
         self._push(DriveSession.brake_steer)
 
     def connected(self, sid: str) -> None:
-        """Note a client; it gets a session when its first telemetry comes, which other programs never send."""
+        """Note a client. It gets a session with its first telemetry, because other programs never send
+        telemetry."""
         self._connections += 1
         self._silent_since_s[sid] = time.monotonic()
         if not self._driven:
@@ -143,7 +145,7 @@ class DriveServer:
         session = self._driven.pop(sid, None)
         if session is not None:
             if session.is_connected and session in self._stopping and not session.is_at_rest:
-                session.rolling_reason = "its simulator has gone"
+                session.rolling_reason = "its simulator has disconnected"
             session.disconnected(reason)
             if self._track is None and session.connections <= MAX_CONNECTION_NOTICES:
                 frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
@@ -196,7 +198,7 @@ class DriveServer:
 
     def _brake(self, session: DriveSession) -> None:
         session.stop()
-        if self._track is None:  # the built-in simulator's car ends with its process
+        if self._track is None:  # the built-in simulator's car disappears with its process
             self._stopping.add(session)
 
     def _notify_once(self, text: str) -> None:
@@ -205,7 +207,7 @@ class DriveServer:
             self.notify(text)
 
     def _notify_stopping(self, *, may_hurry: bool) -> None:
-        """Give the notices of the brakes that were sent. `may_hurry`: a second Ctrl-C ends the drive at once."""
+        """Give the notices of the braking. With `may_hurry`, a second Ctrl-C ends the drive at once."""
         for text in sorted({session.stop_notice for session in self._stopping if session.stop_notice}):
             if not may_hurry:
                 self._notify_once(text)
@@ -214,28 +216,28 @@ class DriveServer:
                 force_quit_announced()
 
     def _push(self, command_of: Callable[[DriveSession], Steer | None]) -> None:
-        """Send the commands that are due to simulators without telemetry; the built-in one needs none."""
+        """Send due commands to simulators that send no telemetry. The built-in simulator needs none."""
         if self._track is not None:
             return
-        for sid, session in list(self._driven.items()):  # a failed push disconnects a client meanwhile
+        for sid, session in list(self._driven.items()):  # a copy: a failed push disconnects a client
             steer = None if self._server.has_unread(sid) else command_of(session)
             if steer is not None:
                 self._server.push(sid, steer)
 
     def _session_of(self, sid: str) -> DriveSession | None:
-        """A client's session; None if it is not driven."""
+        """A client's session; None if the client is not driven."""
         session = self._driven.get(sid)
         if session is None and len(self._driven) >= MAX_SIMULATORS:
             self._notify_once(f"more than {MAX_SIMULATORS} simulators at once: the others are not driven")
             return None
         try:
             return session or self._session_for(sid)
-        except UserError as error:  # the others are driven on
+        except UserError as error:  # the other simulators continue
             self._notify_once(f"a second simulator is not driven: {error}")
             return None
 
     def _session_for(self, sid: str) -> DriveSession:
-        """The session for a client that sends its first telemetry since it connected."""
+        """The session for a client that sends its first telemetry since its connection."""
         free = [session for session in self.sessions if not session.is_connected]
         session = free[0] if free else self._open_session(self._free_name(), overwrite=False)
         self._driven[sid] = session
@@ -246,24 +248,24 @@ class DriveServer:
             self._brake(session)
         if not session.is_empty:
             if session.connections <= MAX_CONNECTION_NOTICES:
-                self.notify(f"connected again: {session.writer.path} goes on")
+                self.notify(f"connected again: {session.writer.path} continues")
             elif session.connections == MAX_CONNECTION_NOTICES + 1:
-                self.notify("it comes and goes: no more notices of that; the log has it as events")
+                self.notify("it connects again and again: no more notices of this; the log has the events")
         elif session is not self.session:
             self.notify(
-                f"a second simulator has connected: it is driven too, and logged to {session.writer.path};"
-                " close one of them if that is not meant"
+                f"a second simulator has connected: it is driven, too, and logged to {session.writer.path};"
+                " close one of them if you did not want that"
             )
         return session
 
     def _free_name(self) -> Path:
-        """A name beside the log that is free: run-2.mcap for run.mcap."""
+        """A free path next to the log: run-2.mcap for run.mcap."""
         names = (self._log.with_stem(f"{self._log.stem}-{number}") for number in itertools.count(2))
         taken = {session.writer.path for session in self.sessions}
         return next(name for name in names if name not in taken and not os.path.lexists(name))
 
     def _open_session(self, path: Path, overwrite: bool) -> DriveSession:
-        """A session with a log that is flushed twice a second, so that a killed drive loses no more than that."""
+        """A session with a log that is flushed twice a second, so that a kill loses at most half a second."""
         road = {} if self._track is None else {"track": self._track}
         metadata = drive_metadata(self._pilot, self.config) | road
         writer = LogWriter(path, metadata, overwrite=overwrite, live=True)

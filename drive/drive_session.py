@@ -1,4 +1,4 @@
-"""The session of one simulator that is driven: its driver, its log and its summary."""
+"""The session of one driven simulator: its driver, its log and its summary."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from recorder.topics import DRIVE_METADATA
 from recorder.upkeep.derived_log import close_with_tags
 
 WATCHDOG_S: Final = 1.0
-"""The silence after which a command is sent: the real simulator sends no more telemetry once all of it is lost,
-until a command comes. It is longer by as much for each command of the last minute that nothing was left unanswered
-for: a simulator whose steps take longer would get one more in each."""
+"""The silence after which a command is sent: if all telemetry is lost, Udacity's simulator sends more only after a
+command. The time grows by this value for each such command of the last minute, minus the messages left unanswered
+for them: a simulator with longer steps would otherwise get a further command in each step."""
 
 FORGET_S: Final = 60.0
-"""The time after which such a command counts no more."""
+"""The time after which a command of the watchdog does not count any more."""
 
 SILENT_S: Final = 0.2
-"""The silence of a braking simulator after which it is sent the brake, and its release, without telemetry."""
+"""The silence of a braking simulator after which the brake, and its release, are sent without telemetry."""
 
 STABLE_S: Final = 10.0
-"""A connection that lasts so long is stable."""
+"""A connection of this length is stable."""
 
 _NEUTRAL: Final = Steer(0.0, 0.0)
 
 
 class DriveSession:
-    """Answers one simulator, also when it comes back, and writes everything to one log.
+    """Answers one simulator, also when it connects again, and writes everything to one log.
 
-    As a context manager it finishes the log; an exception in its block ends the log as it does in `LogWriter`.
+    As a context manager, it finishes the log. An exception in its block ends the log as in `LogWriter`.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class DriveSession:
         notify: Callable[[str], None] = lambda text: None,
         at_wheel: AtWheel | None = None,
     ) -> None:
-        """`at_wheel`: a person takes over from the network there."""
+        """`at_wheel` lets a person take over from the network."""
         self._notify = notify
         self.writer = writer
         self.log = DriveLog(writer)
@@ -66,21 +66,21 @@ class DriveSession:
         self._metadata: dict[str, dict[str, str]] = {}
         self._last_steer = _NEUTRAL
         self._clock = RunningClock()
-        self._last_telemetry_s = 0.0  # by that clock, as the next one
+        self._last_telemetry_s = 0.0  # by `_clock`, as `_last_push_s`
         self._last_push_s = 0.0
         self._was_pushed = False
-        self._unpaid = 0  # commands that answered no telemetry, without a telemetry left unanswered for them
+        self._unpaid = 0  # commands that answered no message, minus messages left unanswered for them
         self._is_stopping = self._was_braking = False
         self.is_connected = False
         self._connected_s = 0.0
         self.connections = 0
-        """The connections since the last stable one."""
+        """The number of connections since the last stable one."""
         self.rolling_reason = ""
-        """The reason why the car may not stand at the end of a drive; empty where it does."""
+        """The reason why the car may still roll at the end of a drive; empty if it stands."""
         self.is_at_rest = False
-        """True once the car stands, or the brake has ended where its speed is unknown."""
+        """True when the car stands or, if its speed is unknown, when the brake has ended."""
         self.stop_notice = ""
-        """The notice of how the car is stopped, once that has been sent."""
+        """The notice of the braking; empty until the brake has been sent."""
 
     def connected(self) -> None:
         self._driver = self._new_driver(self._driver.reported_size)
@@ -99,7 +99,8 @@ class DriveSession:
         self.log.disconnected(reason)
 
     def telemetry(self, data: object, received_s: float, in_flight: int = 1) -> Answer:
-        """`in_flight`: the telemetries that are, this one included."""
+        """The answer to a telemetry message. `in_flight` is the number of messages in flight, including this
+        one."""
         self._note_telemetry()
         if data is None:  # a human holds a key
             self.rolling_reason = "a human drives it"
@@ -117,7 +118,7 @@ class DriveSession:
         )
 
     def unanswered(self, in_flight: int) -> None:
-        """Note a telemetry that is left unanswered; `in_flight` are without it."""
+        """Note a telemetry message that is left unanswered. `in_flight` does not count it."""
         self._note_telemetry()
         self._unpaid = max(0, self._unpaid - 1)
         self.summary.unanswered += 1
@@ -132,7 +133,7 @@ class DriveSession:
         self.log.event("no telemetry for a second after the connection: 0,0 was sent, to make the simulator begin")
 
     def watchdog_steer(self) -> Steer | None:
-        """The command for a simulator that has fallen silent, once each time; None if none is due."""
+        """The command for a silent simulator, once for each silence; None if none is due."""
         is_due = self.is_connected and not self._was_pushed and self.silent_s >= WATCHDOG_S * (1 + self._unpaid)
         if not is_due:
             return None
@@ -140,7 +141,7 @@ class DriveSession:
         self._unpaid += 1
         self.summary.pushes += 1
         self.log.event("no telemetry for a second: sent a steer, to make the simulator go on", is_problem=True)
-        # A simulator that stays silent keeps it for ever, and a brake would reverse the car in the end.
+        # A simulator that stays silent keeps this command for ever, and a brake would finally reverse the car.
         return replace(self._last_steer, throttle=max(0.0, self._last_steer.throttle))
 
     def brake_steer(self) -> Steer | None:
@@ -148,7 +149,7 @@ class DriveSession:
         if not (self.is_connected and self._is_stopping) or self.silent_s < SILENT_S:
             return None
         steering, throttle = self._driver.brake_without_telemetry()
-        self.rolling_reason, self.is_at_rest = "it sends nothing any more", throttle == 0.0
+        self.rolling_reason, self.is_at_rest = "its simulator is silent", throttle == 0.0
         self._report_braking(throttle < 0)
         if self._last_steer.throttle == throttle:
             return None
@@ -156,39 +157,39 @@ class DriveSession:
         return self._last_steer
 
     def attend(self) -> None:
-        """Do what the page of the person at the wheel asks for."""
+        """Carry out the requests of the page of the person at the wheel."""
         for text in self._at_wheel.attend() if self._at_wheel is not None else ():
             self.log.event(text)
             self._notify(text)
 
     @property
     def is_end_asked(self) -> bool:
-        """True once the person at the wheel has asked for the end of the drive."""
+        """True after the person at the wheel has requested the end of the drive."""
         return self._at_wheel is not None and self._at_wheel.is_end_asked
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last telemetry, while this process ran."""
+        """Seconds since the last telemetry, without time in which this process was suspended."""
         return self._clock.tick() - self._last_telemetry_s
 
     def stop(self) -> None:
-        """From now on the car is braked to a stand."""
+        """Brake the car to a stand from now on."""
         self._driver.stop()
         self._is_stopping, self.is_at_rest = True, False
         self._was_braking, self.stop_notice = False, ""
-        self.rolling_reason = "it sends nothing any more"
+        self.rolling_reason = "its simulator is silent"
 
     def final_command(self) -> Steer:
-        """The last command, which the simulator's car keeps for ever."""
+        """The last command, which the simulator keeps for ever."""
         return replace(_NEUTRAL, decimal_separator=self._last_steer.decimal_separator)
 
     def status(self, now_s: float) -> str:
         if self.is_connected or self.is_empty:
             return self._status.line(now_s)
-        return f"the simulator has gone: waiting, with {counted(self.log.frames, 'frame')} so far"
+        return f"the simulator has disconnected: waiting, with {counted(self.log.frames, 'frame')} so far"
 
     def end_notice(self) -> str:
-        """The notice about a car that may not stand at the end of a drive; empty where it does."""
+        """The notice about a car that may still roll at the end of a drive; empty if it stands."""
         if self.is_at_rest and not self.rolling_reason:
             return ""
         text = f"the car may still roll: {self.rolling_reason}"
@@ -196,7 +197,7 @@ class DriveSession:
         return text
 
     def add_metadata(self, record: str, values: dict[str, str]) -> None:
-        """Add a metadata record, to be written at the log's end."""
+        """Add a metadata record, which is written at the end of the log."""
         self._metadata[record] = values
 
     def __enter__(self) -> Self:
@@ -227,7 +228,7 @@ class DriveSession:
 
     @property
     def is_empty(self) -> bool:
-        """True if no telemetry came at all."""
+        """True if no telemetry has come."""
         return self.summary.telemetries == 0
 
     def _note_telemetry(self) -> None:
@@ -267,7 +268,7 @@ class DriveSession:
             if not self.summary.side_problems[problem]:
                 self._notify(f"a picture that cannot be used: {problem}")
         self.summary.decision(decision, total_ms)
-        for text in decision.events:  # a car that brakes by itself, or is taken over, must not be a riddle
+        for text in decision.events:  # they explain why the car brakes, or who drives
             self._notify(text)
         if self._at_wheel is not None:
             self._at_wheel.show(decision, self.log.frames - 1)

@@ -1,4 +1,4 @@
-"""The car that is driven: of the simulator that is known, named by `--car`, or that of the run's sessions."""
+"""The driven car: named by `--car`, or the car of the run's sessions."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from recorder.log.session_car import UDACITY, Car, built_in, named_car
 
 
 def driven_car(run: Path, named: str | None) -> Car | None:
-    """The car that `named` names (see `named_car`), by default that of the run's sessions. None where that is
+    """The car that `named` names (see `named_car`), by default the car of the run's sessions. None if that is
     Udacity's or the built-in simulator's: telemetry does not distinguish them, and their numbers are the same.
 
-    Raises RunError as `load_config` does, RecordingError for a file that is none, DriveError for settings of a run
-    that no car has.
+    Raises RunError as `load_config` does, RecordingError for a file that describes no car, DriveError for invalid
+    car settings in a run.
     """
     if named is not None:
         return named_car(named)
@@ -31,10 +31,10 @@ def driven_car(run: Path, named: str | None) -> Car | None:
 
 
 def other_steering(run: Path, car: Car | None) -> str:
-    """A line about a run in which steering 1 is an unknown angle, or another one than in the car; else empty."""
+    """A line if steering 1 of the run is an unknown angle, or another angle than in the car; else empty."""
     if known_max_steering_deg_of_run(run) is None:
-        return f"{run} learnt from a car that does not say how far its wheels turn: its steering is sent as it is"
+        return f"{run} learnt from a car whose largest wheel angle is unknown: its steering is sent unchanged"
     learnt_deg, driven_deg = max_steering_deg_of_run(run), (car or UDACITY).max_steering_deg
     if learnt_deg == driven_deg:
         return ""
-    return f"steering 1 is {learnt_deg:g} degrees in {run}, and {driven_deg:g} in this car: it is sent as it is"
+    return f"steering 1 is {learnt_deg:g} degrees in {run}, and {driven_deg:g} in this car: it is sent unchanged"

@@ -1,4 +1,4 @@
-"""The error of a drive that cannot start."""
+"""The error of drives."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from common import UserError
 
 
 class DriveError(UserError):
-    """A drive that cannot start, because its speed or its course is nonsense; a simulator that failed."""
+    """A drive cannot start, because its speed or its course is invalid, or its simulator has failed."""

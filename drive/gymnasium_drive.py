@@ -1,4 +1,4 @@
-"""A network drives a Gymnasium environment, which waits for each of its answers."""
+"""A network drives a Gymnasium environment, which waits for each answer."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ class Episode:
 
 
 def check_pedals(car: GymnasiumCar) -> None:
-    """Raise DriveError if nothing can work the pedals: a network only steers."""
+    """Raise DriveError if nothing can work the pedals, because a network only steers."""
     if car.actions.has_pedals and not (car.has_speed or car.has_expert):
         raise DriveError(
-            f"--gym: action {car.actions.text}: the network steers; for the pedals give speed, the key of the"
-            " environment's, which is kept at --speed, their driver by --expert MODULE:FUNCTION, or"
-            " constants in their place (steering,0.1,0)"
+            f"--gym: action {car.actions.text}: the network only steers; for the pedals give the environment's key"
+            " of the speed, which is then held at --speed, or --expert MODULE:FUNCTION, or constants"
+            " (steering,0.1,0)"
         )
 
 
 def drive_gymnasium(
     session: DriveSession, car: GymnasiumCar, seed: int, episodes: int, stopped: StopEvent
 ) -> Iterator[Episode]:
-    """Drive episodes, reset with `seed` and those after it; each is yielded when it has ended.
+    """Drive episodes with the seeds `seed`, `seed` + 1 and so on. Yields each episode when it ends.
 
-    The network steers. Where the environment gives its speed, the speed controller works the pedals; else the
-    expert does, if there is one.
+    The network steers. If the environment gives the speed, the speed controller works the pedals; else the expert
+    does, if there is one.
     """
     driven = []
     for number in range(episodes):
@@ -81,6 +81,6 @@ def drive_gymnasium(
 
 
 def mean_reward(episodes: list[Episode]) -> float:
-    """The mean reward of the episodes that came to their end; NaN if none did."""
+    """The mean reward of the episodes that were not stopped; NaN if there are none."""
     ended = [episode.reward for episode in episodes if episode.end != "stopped"]
     return sum(ended) / len(ended) if ended else math.nan

@@ -1,4 +1,4 @@
-"""Results are kept in the run that they are of, for `bc-runs`: of measurements, and of supervised drives."""
+"""Keep results of measurements and supervised drives in their run, for `bc-runs`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from model.runs.run_folder import config_folder
 from model.runs.runs_in_store import send_results
 
 OTHER_SIMULATOR = "another simulator"
-"""The track of a drive in a simulator that connects, which names none."""
+"""The track's name for other simulators, which name no track."""
 
 
 def keep(run: Path, way: Way, result: Mapping[str, Any]) -> int:
-    """Keep a result in the run, and where the run is in a store, there; a folder that cannot be written to costs
-    no measurement. Exit code 3 for a result that is not kept, or does not get to the store."""
+    """Keep a result in the run's folder, and in the store if the run is in one. A failure is only a warning.
+    Returns exit code 3 if the result is not kept, or not in the store."""
     folder = config_folder(run)
     try:
         keep_result(run, way, result)
@@ -30,13 +30,14 @@ def keep(run: Path, way: Way, result: Mapping[str, Any]) -> int:
     except RunWriteError as error:
         return warn(f"the result is not kept in the run: {error}")
     except (UserError, OSError) as error:
-        later = f"`bc-eval` of {run_argument(folder)}, on this machine, sends it along"
-        return warn(f"the result is kept on this machine only ({error}); the next {later}")
+        later = f"the next `bc-eval` of {run_argument(folder)} on this machine sends it, too"
+        return warn(f"the result is kept on this machine only ({error}); {later}")
     return DONE
 
 
 def keep_supervised(run: Path, config: DriveConfig, track: str | None, session: DriveSession) -> int:
-    """Keep the result of a drive that a person supervised, if its simulator reports laps; the exit code."""
+    """Keep the result of a drive that a person supervised, if its simulator reports laps. Returns the exit
+    code."""
     summary = session.summary
     if summary.laps is None:
         return DONE

@@ -1,7 +1,7 @@
 """The optimizer Adam of Kingma and Ba 2015 (arXiv 1412.6980), with its usual moments.
 
-The arithmetic is PyTorch's, and so is the state of each parameter, under the same names. `torch.optim.Adam`
-around it loads PyTorch's compiler with the first step, which nothing here uses: over a second in every training.
+It uses PyTorch's arithmetic, and PyTorch's names for the state of each parameter. `torch.optim.Adam` would load
+PyTorch's compiler with the first step, which the toolkit does not use: over a second in every training.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from torch.optim.adam import adam
 
 
 class Adam:
-    """Steps the parameters, which are all on one device, at this learning rate."""
+    """Updates parameters, which must be on one device, with the learning rate `rate`."""
 
     def __init__(self, parameters: Iterable[Tensor], rate: float) -> None:
         self.parameters = list(parameters)
         self.rate = rate
         self.is_fused = self.parameters[0].is_cuda
         self.state: dict[Tensor, dict[str, Tensor]] = {}
-        """`exp_avg` and `exp_avg_sq` of each parameter that was stepped, in its own shape and memory format, and
-        `step`, a float32, on the same GPU or on the CPU."""
+        """For each updated parameter `exp_avg` and `exp_avg_sq`, in its shape and memory format, and the step
+        count `step`, a float32, on the same GPU or on the CPU."""
 
     def zero_grad(self) -> None:
         for parameter in self.parameters:
@@ -30,7 +30,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self) -> None:
-        """Step every parameter that has a gradient."""
+        """Update every parameter that has a gradient."""
         gradients = {parameter: parameter.grad for parameter in self.parameters if parameter.grad is not None}
         for parameter in gradients:
             if parameter not in self.state:
@@ -43,7 +43,7 @@ class Adam:
             [state["exp_avg_sq"] for state in states],
             [],
             [state["step"] for state in states],
-            foreach=not self.is_fused,  # on a processor, too: the same bits in two thirds of the time
+            foreach=not self.is_fused,  # on a CPU, too: the same bits in two thirds of the time
             fused=self.is_fused,
             amsgrad=False,
             beta1=0.9,

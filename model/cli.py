@@ -1,4 +1,4 @@
-"""`bc-train`: a network learns to steer from the index."""
+"""`bc-train`: train a network on an index."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 def train(config: Train) -> int:
     refuse_contradictions(config)
     if isinstance(config.runs, Url):
-        config = _copied_to(config.runs, config)
+        config = _trained_locally(config.runs, config)
 
     from model.errors import RunWriteError
     from model.runs.run_folder import find_any_run, find_run
@@ -42,7 +42,7 @@ def train(config: Train) -> int:
     from model.training.trainer import train as train_network
 
     is_resumed, settings = config.resume is not None, config.config
-    # all that can fail at once, before the minutes that an index may take
+    # first everything that can fail at once; building an index may take minutes
     run = _run_of(config)
     copies = _folder_of_copies(config)
     copied_to = None if copies is None else place_of_copies(copies, run, is_new=not is_resumed)
@@ -57,14 +57,14 @@ def train(config: Train) -> int:
     if config.like is not None:
         like = find_any_run(config.like, config.runs)
     allow_places(config.sessions, config.drives)
-    summary = _tried_out(config, run, init, like)
+    summary = _try_network(config, run, init, like)
     listeners = _listeners(config, run)
     copy = RunCopy(run, copied_to) if copied_to is not None else None
     if copy is not None:
         listeners.append(copy)
     is_own_index = bool(config.on or config.takeovers)
     index, code = _own_index(config, run, init) if is_own_index else _index_of(config, like)
-    print_result(f"{run}: {summary}{_going_on(run) if is_resumed else ''}")
+    print_result(f"{run}: {summary}{_resumed_at(run) if is_resumed else ''}")
     try:
         trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
     except (KeyboardInterrupt, RunWriteError):
@@ -79,16 +79,16 @@ def train(config: Train) -> int:
 
 
 def _folder_of_copies(config: Train) -> Location | None:
-    """Where runs are copied to; a resumed run in a store goes back to where it came from."""
+    """The folder that the run is copied to, or None; a resumed run in a store is copied back to its folder."""
     if config.copy_to is None and config.resume is not None and is_in_store(config.resume):
         return location(config.resume.rstrip("/").rpartition("/")[0])
     return config.copy_to
 
 
-def _tried_out(config: Train, run: Path, init: Path | None, like: Path | None) -> str:
-    """Try the network of a training on the machine that it will have; both for the line that is printed first.
+def _try_network(config: Train, run: Path, init: Path | None, like: Path | None) -> str:
+    """Try the network on the device of the training. Returns the text of the first printed line.
 
-    Raises RunError where there is no such network or machine, or its first weights are those of another one.
+    Raises RunError if the network or the device does not exist, or if the first weights are of another network.
     """
     from model.device import choose_machine
     from model.network.choice import choose_network, chosen_picture
@@ -115,7 +115,7 @@ def _tried_out(config: Train, run: Path, init: Path | None, like: Path | None) -
 
 
 def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
-    """Print how a training went, and how to drive with its run; the exit code."""
+    """Print the outcome of a training and the command that drives with its run. Returns the exit code."""
     from model.runs.history import read_epochs
     from model.runs.run_folder import WEIGHTS, load_config
     from model.runs.run_numbers import run_numbers
@@ -130,7 +130,7 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
             f"{run}: stopped early: {counted(settings.patience, 'epoch')} no better than the best (--patience)"
         )
     elif not trained.epochs:
-        print_result(f"{run}: all its epochs are learnt; give more --epochs to go on")
+        print_result(f"{run}: all its epochs are learnt; give more --epochs to continue")
     best = trained.best_epoch
     for line in outcome_lines(read_epochs(run), best, settings.keep) if best else ():
         print_result(line)
@@ -141,30 +141,30 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     return code
 
 
-def _copied_to(runs: Url, config: Train) -> Train:
-    """The same training in a folder of this machine, copied to where runs are kept."""
+def _trained_locally(runs: Url, config: Train) -> Train:
+    """The same training in the default folder of runs, with copies to `runs` in a store."""
     from model.runs.runs_in_store import url_of
 
     init, like, resume = (url_of(name, runs) for name in (config.init, config.like, config.resume))
-    is_brought = resume is not None and is_in_store(resume)  # and goes back to where it came from
-    copy_to = None if is_brought else runs
+    is_from_store = resume is not None and is_in_store(resume)  # `_folder_of_copies` copies it back
+    copy_to = None if is_from_store else runs
     return replace(config, runs=RUNS, copy_to=copy_to, init=init, like=like, resume=resume)
 
 
 def _named(network: str) -> str:
-    """A network's name for the line that is printed first; the original's needs none."""
+    """A network's name for the first printed line; empty for the original network."""
     return "" if network == "original" else f"{printable(network)}, "
 
 
-def _going_on(run: Path) -> str:
-    """The end of the line that is printed first: where a resumed run continues."""
+def _resumed_at(run: Path) -> str:
+    """The end of the first printed line: the position at which a resumed run continues."""
     from model.runs.checkpoint import read_position
     from model.runs.run_folder import has_nothing_saved
 
     if has_nothing_saved(run):
-        return ", begun again from its seed: it was stopped before anything was saved"
-    begin = read_position(run)
-    return f", going on in epoch {begin.epoch:,} after batch {begin.batch:,}"
+        return ", restarted from its seed: it was stopped before anything was saved"
+    position = read_position(run)
+    return f", continued in epoch {position.epoch:,} after batch {position.batch:,}"
 
 
 def _resume(run: Path, index: Location) -> str:
@@ -178,7 +178,7 @@ def _resume(run: Path, index: Location) -> str:
 
 
 def _network_flag(run: Path) -> str:
-    """The flag that a run of a user's own network needs: its code never runs unasked."""
+    """The flag that names a user's own network, whose code never runs unasked; empty for other networks."""
     from model.runs.network_of_run import network_flag, stored_network
     from model.runs.run_folder import load_config
 
@@ -187,7 +187,7 @@ def _network_flag(run: Path) -> str:
 
 
 def _listeners(config: Train, run: Path) -> list[Listener]:
-    """Raises UserError where what one of them needs is not installed."""
+    """The listeners of a training. Raises UserError if a package that one of them needs is not installed."""
     listeners: list[Listener] = [EpochPrinter()]
     if config.tensorboard:
         from model.training.tensorboard import TensorBoard
@@ -199,7 +199,7 @@ def _listeners(config: Train, run: Path) -> list[Listener]:
 
 
 def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
-    """Raises UserError if it is missing, cannot be made, or is not a listener."""
+    """Make the listener of --listener. Raises UserError if it is missing, cannot be made, or is not a listener."""
     make = load_function("--listener", name)
     try:
         listener: Listener = make(run, config)
@@ -218,7 +218,7 @@ def _run_of(config: Train) -> Path:
     from model.runs.run_folder import find_any_run, refuse_existing_run
 
     if (resumed := config.resume) is not None:
-        # one in a store was brought here, under its name
+        # a run in a store was already copied to `config.runs`, under its name
         name = resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
         return find_any_run(name, config.runs)
     run = local_path(config.runs) / (config.name or new_run_name())
@@ -227,7 +227,7 @@ def _run_of(config: Train) -> Path:
 
 
 def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
-    """The index of --on or --takeovers, built, and the exit code of what had to be printed about it."""
+    """Build the index of --on or --takeovers. Returns it and the exit code of its notices."""
     from dataset import IndexConfig, find_logs
     from dataset.frames.frames_file import session_name
     from model.runs.reproduce import logs_with_takeovers
@@ -243,8 +243,8 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
 
 
 def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
-    """The index to train on, built if need be, and the exit code of what had to be printed about it. `like` is the
-    run that is resumed or repeated."""
+    """The index to train on, built if missing, and the exit code of its notices. `like` is the run to resume or
+    repeat."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
     from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
@@ -275,14 +275,14 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
 
 
 def _is_built_unasked(index: Location) -> bool:
-    """True for a folder of the default's name in one that is there: another name may be misspelt."""
+    """True for the default name of an index, in a folder that exists: another name may be misspelt."""
     return isinstance(index, Path) and index.name == Train.index.name and index.parent.is_dir()
 
 
 def _build_index(
     logs: Sequence[Location], index: Path, settings: IndexConfig, folder: Location, sessions: Sequence[str] = ()
 ) -> int:
-    """Build an index as `bc-index` does: leave out and print what cannot be read. Returns the exit code."""
+    """Build an index as `bc-index` does: skip and print logs that cannot be read. Returns the exit code."""
     from dataset import build_index
     from dataset.index.index_report import print_log_notices
 

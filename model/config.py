@@ -40,7 +40,8 @@ class TrainConfig:
         "keep": "balanced-rmse",
         "alter_each_epoch": ("none",),
     }
-    """Settings of the original project, and of earlier versions of this one, which lacked these fields."""
+    """Settings of the original project. Earlier versions of the toolkit trained with them and did not store
+    them."""
 
     RARE: ClassVar[str] = (
         "network_args target_weights picture_px crop_rows channels average_steps"
@@ -63,7 +64,7 @@ class TrainConfig:
     channels: Literal["BGR", "RGB", "YUV"] | None = None
     """Colour order of the network's picture."""
     alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("all",)
-    """Changes to every picture, drawn anew in every epoch: all, or some."""
+    """Random changes to every picture in every epoch: all, or some."""
     epochs: int = 10
     """Passes over the balanced samples."""
     batch: int = 256
@@ -87,7 +88,7 @@ class TrainConfig:
     precision: Precision = "auto"
     """Arithmetic; auto: bfloat16 if the device has it."""
     micro_batch: int = 0
-    """Samples computed at once; 0: what suits the device."""
+    """Samples computed at once; 0: chosen for the device."""
     threads: int = 0
     """Threads; 0: one a core. Fewer are faster on a busy machine."""
     picture_memory_mb: int = 1024
@@ -101,12 +102,12 @@ class TrainConfig:
         return cls() if recipe == "altered" else cls(recipe=recipe, alter_each_epoch=("none",))
 
     def __post_init__(self) -> None:
-        """Raises ValueError, naming the flag, for a value that makes no sense."""
-        for name, (least, most) in _RANGES.items():
+        """Raises ValueError, which names the flag, for an invalid value."""
+        for name, (minimum, maximum) in _RANGES.items():
             value = getattr(self, name)
-            if not least <= value <= most:
+            if not minimum <= value <= maximum:
                 flag = name.replace("_", "-")
-                raise ValueError(f"--{flag} {value}: a whole number from {least:,} to {most:,} was expected")
+                raise ValueError(f"--{flag} {value}: a whole number from {minimum:,} to {maximum:,} was expected")
         check_network_name(self.network)
         if bad := [argument for argument in self.network_args if not argument.partition("=")[0].isidentifier()]:
             raise ValueError(f"--network-args {bad[0]}: NAME=VALUE was expected")
@@ -136,6 +137,6 @@ class TrainConfig:
 
     @property
     def epoch_alterations(self) -> tuple[EpochAlteration, ...]:
-        """What is done to every picture in every epoch."""
+        """The alterations of every picture in every epoch."""
         names = self.alter_each_epoch
         return EPOCH_ALTERATIONS if "all" in names else tuple(name for name in EPOCH_ALTERATIONS if name in names)

@@ -1,4 +1,4 @@
-"""The device that a training computes on, its arithmetic, and how much goes through the network at once."""
+"""The device of a training, its arithmetic, and the number of samples that it computes at once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from model.errors import RunError
 
 @dataclass(frozen=True)
 class ProcessorWay:
-    """Settings of a training on the processors that have an instruction."""
+    """Settings of a training on processors with an instruction."""
 
     instruction: str  # as `torch.cpu.get_capabilities` names it; empty: every processor
     arithmetic: Literal["float32", "bfloat16"]
@@ -30,13 +30,13 @@ PROCESSOR_WAYS: Final = (
     ProcessorWay("", "float32", 64),
     ProcessorWay("", "bfloat16", 64),  # only with --precision bfloat16
 )
-"""The first row whose instruction a processor has is used. The table was measured (benchmarks/README.md). A trial
-at the start of a training would not always give the same row, but the same machine and seed must give the same
-weights.
+"""A training uses the first row whose instruction the processor has. The table was measured
+(benchmarks/README.md). A trial at the start of a training would not always give the same row, but the same machine
+and seed must give the same weights.
 
 Cores and caches do not matter: the first layer's output for 16 pictures is already larger than a core's cache, and
-larger batches were a little faster. With AMX they gain more, because convolutions take less of the time; 256 would
-be a few percent faster again, and take 0.4 GB more."""
+larger batches were a little faster. With AMX, larger batches gain more, because convolutions take less of the
+time. A micro-batch of 256 would be a few percent faster still, and take 0.4 GB more."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Machine:
 
     @property
     def arithmetic(self) -> str:
-        """Its name: "bfloat16" or "float32"."""
+        """The name of `dtype`: "bfloat16" or "float32"."""
         return str(self.dtype).removeprefix("torch.")
 
 
-class _Begun(msgspec.Struct):
-    """The machine that a run was begun on, as its config.json has it."""
+class _StoredMachine(msgspec.Struct):
+    """The machine on which a run began, as its config.json stores it."""
 
     device: str
     arithmetic: Literal["float32", "bfloat16"]
@@ -60,26 +60,26 @@ class _Begun(msgspec.Struct):
 
 
 def choose_machine(config: TrainConfig, begun: object = None) -> Machine:
-    """The machine that `config` asks for.
+    """The device, arithmetic and micro-batch for `config`.
 
-    What `config` leaves open is as the device has it, or for a run that goes on or is repeated as it was `begun`
-    with (the machine in its config.json), as far as a device of the same kind has that, too.
-    Raises RunError if there is no such device here.
+    Automatic settings are chosen for the device. A resumed or repeated run keeps those of `begun` (the machine in
+    its config.json) if the device is of the same kind and supports them. Raises RunError if this machine does not
+    have the device.
     """
     device = choose_device(config.device)
     if device.type == "cuda":
-        torch.set_float32_matmul_precision("high")  # TF32 where float32 is asked for
+        torch.set_float32_matmul_precision("high")  # TF32 for float32
     else:
         keep_freed_memory()
     if config.threads:
         torch.set_num_threads(config.threads)
     precision, micro_batch = config.precision, config.micro_batch
-    before = _begun_on(device, begun)
-    if before is not None:
-        micro_batch = micro_batch or before.micro_batch
-        has_its_arithmetic = before.arithmetic == "float32" or training_dtype("auto", device) == torch.bfloat16
-        if precision == "auto" and has_its_arithmetic:
-            precision = before.arithmetic
+    stored = _stored_machine(begun, device)
+    if stored is not None:
+        micro_batch = micro_batch or stored.micro_batch
+        is_supported = stored.arithmetic == "float32" or training_dtype("auto", device) == torch.bfloat16
+        if precision == "auto" and is_supported:
+            precision = stored.arithmetic
     if not micro_batch:
         is_cpu = device.type == "cpu"
         micro_batch = (
@@ -89,10 +89,10 @@ def choose_machine(config: TrainConfig, begun: object = None) -> Machine:
 
 
 def choose_device(device: Device) -> torch.device:
-    """The processor or the GPU, as `--device` asks for. Raises RunError if PyTorch finds no GPU for "cuda"."""
+    """The processor or the GPU, as `--device` says. Raises RunError for "cuda" if PyTorch finds no GPU."""
     has_gpu = torch.cuda.is_available()
     if device == "cuda" and not has_gpu:
-        raise RunError("--device cuda: PyTorch finds no GPU here; give --device cpu, or install PyTorch for CUDA")
+        raise RunError("--device cuda: PyTorch finds no GPU; give --device cpu, or install PyTorch for CUDA")
     return torch.device("cuda:0" if device != "cpu" and has_gpu else "cpu")
 
 
@@ -115,10 +115,10 @@ def training_dtype(precision: Precision, device: torch.device) -> torch.dtype:
     return torch.bfloat16 if precision == "bfloat16" else torch.float32
 
 
-def _begun_on(device: torch.device, begun: object) -> _Begun | None:
-    """None if it was begun on another kind of device, or on an unknown one."""
+def _stored_machine(begun: object, device: torch.device) -> _StoredMachine | None:
+    """The machine `begun` from a run's config.json; None if it is invalid or has another kind of device."""
     try:
-        before = msgspec.convert(begun, _Begun)
+        stored = msgspec.convert(begun, _StoredMachine)
     except msgspec.ValidationError:
         return None
-    return before if before.device == device.type else None
+    return stored if stored.device == device.type else None

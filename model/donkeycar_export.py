@@ -1,4 +1,4 @@
-"""A run for a DonkeyCar: its network as an ONNX file that takes the camera's picture, and the part that drives."""
+"""Export a run to a DonkeyCar: an ONNX file that takes the camera's picture, and the part that drives with it."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ PART: Final = Path(__file__).with_name("donkeycar_part.py")
 
 
 def export_to_donkeycar(run: Path, folder: Path, *, overwrite: bool = False) -> tuple[Path, float]:
-    """Write NAME.onnx and donkeycar_part.py to `folder`, which may exist. The network's path, and the largest
-    difference of its steering between ONNX Runtime and PyTorch.
+    """Write NAME.onnx and donkeycar_part.py to `folder`, which may exist. Returns the path of the ONNX file, and
+    the largest difference of the steering between ONNX Runtime and PyTorch.
 
-    A part of this version stays as it is. Raises RunError as `export_onnx` does; UserError if the network, or
-    another part, exists already and `overwrite` is off.
+    An equal donkeycar_part.py stays. Raises RunError as `export_onnx` does; UserError if the ONNX file or a
+    different donkeycar_part.py exists and `overwrite` is off.
     """
     code, part = PART.read_bytes(), folder / PART.name
-    is_written = part.is_file() and part.read_bytes() == code
-    if not is_written:
+    is_current = part.is_file() and part.read_bytes() == code
+    if not is_current:
         refuse_existing(part, overwrite)
     path = folder / f"{run_name(run)}.onnx"
     difference = export_onnx(run, path, of_camera=True, overwrite=overwrite)
-    if not is_written:
-        with run_write_errors(part), atomic_file(part, overwrite=overwrite) as written:
-            written.write_bytes(code)
+    if not is_current:
+        with run_write_errors(part), atomic_file(part, overwrite=overwrite) as temporary:
+            temporary.write_bytes(code)
     return path, difference

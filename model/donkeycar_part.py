@@ -1,8 +1,8 @@
-"""A part of DonkeyCar's loop: a network of the behavioural-cloning toolkit that steers. It needs NumPy and ONNX
-Runtime, and nothing of the toolkit.
+"""A part for DonkeyCar's loop that steers with a network of the behavioural-cloning toolkit. It needs only NumPy
+and ONNX Runtime, not the toolkit.
 
-`bc-train export RUN --donkeycar FOLDER` writes this file beside the network. Copy both to the car's folder, and in
-its manage.py add the part above `aiLauncher = AiLaunch(`:
+`bc-train export RUN --donkeycar FOLDER` writes this file next to the network. Copy both to the car's folder. In
+its manage.py, add the part above `aiLauncher = AiLaunch(`:
 
     from donkeycar_part import OnnxPilot
     V.add(OnnxPilot("NAME.onnx", throttle=0.2), inputs=["cam/image_array"],
@@ -21,21 +21,22 @@ STANDING = (0.0, 0.0)
 
 
 class OnnxPilot:
-    """Steering -1 (left) .. 1 (right) and throttle -1 .. 1 for the camera's picture.
+    """Answers the camera's picture with steering -1 (left) .. 1 (right) and throttle -1 .. 1.
 
-    `throttle` is constant; None takes the one that the network predicts. `threads` of the processor are used.
-    Raises ValueError for a file that is not of `--donkeycar`, and if nothing gives a throttle.
+    `throttle` is constant; None takes the throttle that the network predicts. Inference uses `threads` processor
+    threads. Raises ValueError for a file that `--donkeycar` did not write, and if `throttle` is None and the
+    network predicts none.
     """
 
     def __init__(self, network: str | Path, throttle: float | None = None, threads: int = 1) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         self._network = onnxruntime.InferenceSession(str(network), options, providers=["CPUExecutionProvider"])
-        if [given.name for given in self._network.get_inputs()] != ["picture"]:
+        if [tensor.name for tensor in self._network.get_inputs()] != ["picture"]:
             raise ValueError(
                 f"{network}: not for camera pictures: write it with `bc-train export RUN --donkeycar`"
             )
-        predicts_throttle = "throttle" in [given.name for given in self._network.get_outputs()]
+        predicts_throttle = "throttle" in [tensor.name for tensor in self._network.get_outputs()]
         if throttle is None and not predicts_throttle:
             raise ValueError(
                 f"{network} predicts no throttle: give one, as in OnnxPilot({str(network)!r}, throttle=0.2)"
@@ -52,8 +53,8 @@ class OnnxPilot:
 
     def run(self, picture: np.ndarray | None) -> tuple[float, float]:
         """Steering and throttle for a picture, uint8 (height, width, 3) RGB, or grey (height, width); 0 and 0
-        without a picture. Raises ValueError for answers that are no numbers."""
-        if picture is None:  # before the camera's first
+        without a picture. Raises ValueError for answers that are not finite."""
+        if picture is None:  # before the camera's first picture
             return STANDING
         if picture.ndim == 2 or picture.shape[2] == 1:
             picture = np.repeat(picture.reshape(*picture.shape[:2], 1), 3, axis=2)
@@ -66,8 +67,8 @@ class OnnxPilot:
         return max(-1.0, min(steering, 1.0)), max(-1.0, min(throttle, 1.0))
 
     def run_threaded(self, picture: np.ndarray | None) -> tuple[float, float]:
-        """The last answer of `update`, which begins on this picture. Raises what `update` failed with, so that the
-        car stops."""
+        """Hand this picture to `update`, and return its last answer. Raises the error with which `update` failed,
+        so that the car stops."""
         if self._problem is not None:
             raise self._problem
         self._picture = picture
@@ -75,7 +76,7 @@ class OnnxPilot:
         return self._answer
 
     def update(self) -> None:
-        """Answer the newest picture until `shutdown`: the part's own thread."""
+        """Answer the newest picture until `shutdown`. DonkeyCar runs it in a thread."""
         while self._has_picture.wait() and self._is_on:
             self._has_picture.clear()
             try:

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
 
 class EpochPrinter:
-    """Prints a line an epoch on stdout, and before the first one the errors of constant predictors."""
+    """Prints one line an epoch on stdout; before the first one, the errors of constant predictors."""
 
     def __init__(self) -> None:
         self._has_begun = False
 
     def step(self, step: Step) -> None:
-        """The bar shows it."""
+        """Print nothing: the progress bar shows steps."""
 
     def epoch(self, epoch: Epoch) -> None:
         measures, unit = epoch.measures, epoch.measures.unit

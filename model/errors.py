@@ -6,8 +6,8 @@ from common import UserError
 
 
 class RunError(UserError):
-    """A run that is missing, incomplete, damaged, of another version, or that cannot go on."""
+    """A run is missing, incomplete, damaged, of another version, or cannot continue."""
 
 
 class RunWriteError(RunError):
-    """A file of a run that the system does not let be written: the disk is full, or not ours."""
+    """A file of a run cannot be written: the disk is full, or permission is denied."""

@@ -1,4 +1,4 @@
-"""`bc-train export`: a run as a file that other programs can use, or as a folder for the Hugging Face hub."""
+"""`bc-train export`: write a run as a file for other programs, or as a folder for the Hugging Face hub."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _export_onnx(run: Path, config: Export) -> int:
     print_result(_written(path, difference), f"input {input_line(picture)}")
     print_message("to run it with only onnxruntime and opencv-python-headless:")
     _print_code(example(picture, json.dumps(str(path)), '"picture.jpg"'))
-    print_next("python -m pip install onnxruntime opencv-python-headless", "where it is to run")
+    print_next("python -m pip install onnxruntime opencv-python-headless", "on the machine that runs it")
     return DONE
 
 
@@ -95,7 +95,7 @@ def _export_to_donkeycar(run: Path, folder: Path, *, overwrite: bool) -> int:
         '          outputs=["pilot/angle", "pilot/throttle"], run_condition="run_pilot")\n'
     )
     files = shlex.join(map(str, (path, folder / PART.name)))
-    print_next(f"scp {files} pi@donkeypi.local:mycar/", "both files go to the car")
+    print_next(f"scp {files} pi@donkeypi.local:mycar/", "to copy both files to the car")
     return DONE
 
 
@@ -117,8 +117,8 @@ def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     code = warn(f"{folder}: without an ONNX file: {written.onnx_problem}") if written.onnx_problem else DONE
     if not written.has_driven:
         print_message(
-            f"{folder}: its card cannot list where it drives: give `bc-eval {run_argument(run)} --simulator lake"
-            " mountain`, and export it again"
+            f"{folder}: its card lists no drives: give `bc-eval {run_argument(run)} --simulator lake mountain`,"
+            " and export it again"
         )
     if licence is None:
         print_message(f"{folder}: its card states no licence; give one with --license")

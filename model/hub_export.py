@@ -1,7 +1,7 @@
-"""A run as a folder for the Hugging Face hub: weights, settings, ONNX, and a card that describes it.
+"""Export a run as a folder for the Hugging Face hub: weights, settings, an ONNX file, and a card.
 
-The folder is a run, too: `bc-drive FOLDER` and `load_pilot` take it as it is. Where the run's index, logs and code
-lay on this machine is not in it.
+The folder is a run, too: `bc-drive FOLDER` and `load_pilot` accept it. It does not contain the paths of the run's
+index, logs and code on this machine.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ ONNX_FILE, CARD_FILE = "model.onnx", "README.md"
 
 @dataclass(frozen=True)
 class HubFolder:
-    """A folder that was written, ready to be uploaded."""
+    """A written folder, ready to upload."""
 
     folder: Path
     files: tuple[str, ...]
     has_driven: bool
-    """Whether the card lists drives."""
+    """True if the card lists drives."""
     onnx_problem: str
-    """Why there is no ONNX file; empty if there is one."""
+    """The reason for a missing ONNX file; empty if the file exists."""
 
 
 def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = None) -> HubFolder:
-    """Write a run as the new folder `folder`: it appears whole or not at all. Nothing is uploaded.
+    """Write a run as the new folder `folder`, which appears whole or not at all. Uploads nothing.
 
-    A network that ONNX cannot hold goes without; the card and `onnx_problem` give the reason. Raises RunError if
-    the run is incomplete, damaged, of another version, or of a user's own network that was not named
-    (`load_code`), if ONNX is not installed, or if the disk is full; UserError if `folder` exists.
+    If ONNX cannot represent the network, the ONNX file is missing; the card and `onnx_problem` give the reason.
+    Raises RunError if the run is incomplete, damaged, of another version, or of a user's own network that was not
+    named (`load_code`), if ONNX is not installed, or if the disk is full; UserError if `folder` exists.
     """
     run, folder = Path(run), Path(folder)
     if config_folder(run) != run:
@@ -90,7 +90,7 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
 
 
 def without_places(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's config.json without the places of its index, its logs, its first weights and its code."""
+    """A run's config.json without the paths of its index, its logs, its first weights and its code."""
     kept: dict[str, Any] = json.loads(json.dumps(config))
     kept.pop("index", None)
     if isinstance(init := kept.get("init"), dict):
@@ -108,7 +108,7 @@ def without_places(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _own_file(config: dict[str, Any], run: Path) -> bytes:
-    """The file of a user's own network, as it was named and run here; empty for other networks."""
+    """The content of the file of a user's own network that this process loaded; empty for other networks."""
     stored = stored_network(config, run)
     if not is_own(stored.name):
         return b""
@@ -117,7 +117,7 @@ def _own_file(config: dict[str, Any], run: Path) -> bytes:
 
 
 def _code_of(config: dict[str, Any], run: Path, *, has_file: bool) -> str:
-    """The name to load the run's code by from its new folder; empty for a network of the toolkit."""
+    """The name that loads the run's code from its new folder; empty for a network of the toolkit."""
     name = stored_network(config, run).name
     if not is_own(name):
         return ""
@@ -125,11 +125,11 @@ def _code_of(config: dict[str, Any], run: Path, *, has_file: bool) -> str:
 
 
 def _write_onnx(run: Path, path: Path) -> str:
-    """Why it cannot be; empty if it was written."""
+    """Write the ONNX file. Returns the reason if ONNX cannot represent the network, else an empty string."""
     try:
         export_onnx(run, path)
     except RunWriteError:
         raise
-    except RunError as error:  # a layer that ONNX does not know, or answers that differ
+    except RunError as error:  # a layer that ONNX does not support, or answers that differ
         return str(error).removeprefix(f"{run}: ").removeprefix(f"{path}: ")
     return ""

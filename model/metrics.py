@@ -1,7 +1,7 @@
 """Errors of predicted steering and of other targets, compared with those of constant predictions.
 
-Half to four fifths of recorded labels are near zero, so that a small mean error alone means little. Every measure
-is compared with those of always predicting zero, and the mean.
+Half to four fifths of recorded labels are near zero, so a small mean error alone means little. Every measure is
+compared with always predicting zero, and with always predicting the mean.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ Floats = NDArray[np.float32] | NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors in degrees of wheel angle, by `assumed_deg`; NaN where there is nothing to measure."""
+    """Errors in degrees of wheel angle, by `assumed_deg`; NaN if there are no frames to measure."""
 
     mae_deg: float
     rmse_deg: float
     turning_mae_deg: float
-    correlation: float  # -1..1; NaN where either side is constant
+    correlation: float  # -1..1; NaN if the predictions or the labels are constant
 
 
 @dataclass(frozen=True)
 class BinErrors:
-    """The errors in one bin of the recorded steering that is not empty."""
+    """The errors in one bin of the recorded steering that has frames."""
 
     bin: int
-    low: float  # its edges, -1..1
+    low: float  # edges of the bin, -1..1
     high: float
     frames: int
     mae_deg: float
@@ -54,9 +54,9 @@ class Measures:
     frames: int
     network: Errors
     zero: Errors  # of always predicting 0 on the same frames
-    mean: Errors  # of always predicting those frames' own mean: no constant does better
+    mean: Errors  # of always predicting the mean of these frames: no constant has a smaller RMSE
     bins: tuple[BinErrors, ...]
-    mean_balanced_rmse_deg: float = math.nan  # of always predicting that mean; NaN where it is not known
+    mean_balanced_rmse_deg: float = math.nan  # of always predicting the mean; NaN if unknown
     max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
 
     @property
@@ -66,26 +66,27 @@ class Measures:
 
     @property
     def balanced_rmse_deg(self) -> float:
-        """Root of the mean over bins of their mean squared error: every bin counts alike, as in training.
+        """The root of the mean over bins of their mean squared errors: every bin counts alike, as in training.
 
-        A network that always goes straight has a small RMSE where the road is mostly straight, but not this one.
+        On a mostly straight road, a network that always goes straight has a small RMSE, but a large balanced RMSE.
         """
         return _balanced_rmse_deg(self.bins)
 
     @property
     def driving_error(self) -> float:
-        """The balanced RMSE as a share of that of always predicting the mean, plus 1 - correlation: 0 is best, the
-        mean itself has 2. It predicts best how often a network leaves the road (docs/studies/which-number.md)."""
+        """The balanced RMSE divided by that of always predicting the mean, plus 1 - correlation. 0 is best; always
+        predicting the mean has 2. Of all measures, it predicts best how often a network leaves the road
+        (docs/studies/which-number.md)."""
         correlation = 0.0 if math.isnan(self.network.correlation) else self.network.correlation
-        of_the_mean = self.mean_balanced_rmse_deg or 1.0  # it is 0 where the steering is constant
-        return self.balanced_rmse_deg / of_the_mean + 1 - correlation
+        mean_rmse_deg = self.mean_balanced_rmse_deg or 1.0  # 0 if the steering is constant
+        return self.balanced_rmse_deg / mean_rmse_deg + 1 - correlation
 
 
 def measure(
     predicted: Floats, recorded: Floats, bins: int = BINS, *, max_deg: float | None = MAX_STEERING_DEG
 ) -> Measures:
-    """Compare two steering arrays (N,), -1..1, also within `bins` equal bins of the recorded steering. `max_deg`
-    is the wheels' angle at steering 1, None if it is unknown."""
+    """Compare two steering arrays (N,), -1..1, as a whole and within `bins` equal bins of the recorded steering.
+    `max_deg` is the wheels' angle at steering 1, None if unknown."""
     mean = float(np.mean(recorded)) if len(recorded) else float("nan")
     return Measures(
         len(recorded),
@@ -150,16 +151,16 @@ def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float |
 
 @dataclass(frozen=True)
 class TargetErrors:
-    """The errors of a target on the frames with a known label, in its unit; NaN where there is nothing to
-    measure."""
+    """The errors of a target on the frames with a label, in the unit of the target; NaN if no frame has a
+    label."""
 
     target: TargetName
     frames: int
     mae: float
     rmse: float
     bias: float  # mean of predicted - recorded
-    correlation: float  # -1..1; NaN where either side is constant
-    mean_rmse: float  # of always predicting those frames' own mean: no constant does better
+    correlation: float  # -1..1; NaN if the predictions or the labels are constant
+    mean_rmse: float  # of always predicting the mean of these frames: no constant has a smaller RMSE
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, with the unit."""
@@ -175,7 +176,7 @@ class TargetErrors:
 
 
 def target_errors(target: TargetName, predicted: Floats, recorded: Floats) -> TargetErrors:
-    """Compare two arrays (N,) in the target's unit; NaN in `recorded`: not known."""
+    """Compare two arrays (N,) in the target's unit; NaN in `recorded` means unknown."""
     is_known = np.isfinite(recorded)
     predicted, recorded = predicted[is_known], recorded[is_known]
     nan = math.nan
@@ -195,7 +196,8 @@ def target_errors(target: TargetName, predicted: Floats, recorded: Floats) -> Ta
 
 
 def other_targets(targets: Sequence[TargetName], predicted: Floats, recorded: Floats) -> tuple[TargetErrors, ...]:
-    """The errors of all targets but steering; labels and answers as `dataset.prediction_targets` has them."""
+    """The errors of all targets except steering. Labels and answers have the units of
+    `dataset.prediction_targets`."""
     if len(targets) == 1:
         return ()
     return tuple(

@@ -22,14 +22,14 @@ from model.runs.training_progress import Epoch
 @dataclass(frozen=True)
 class ModelCard:
     name: str
-    config: Mapping[str, Any]  # of the run; checked as far as driving needs it
+    config: Mapping[str, Any]  # of the run; only the settings for driving are checked
     parameters: int
     targets: Sequence[TargetName]
     max_steering_deg: float | None  # None: unknown
-    epoch: Epoch | None  # of these weights; None: how well it learnt is unknown
-    results: Sequence[KeptResult]  # the last of each kind that these weights have given
+    epoch: Epoch | None  # of these weights; None: unknown
+    results: Sequence[KeptResult]  # of these weights, the last of each kind
     licence: str | None
-    code: str  # the name to load it by; empty for a network of the toolkit
+    code: str  # the name that loads the network's code; empty for a network of the toolkit
     onnx_example: str  # Python; empty if there is no ONNX file
 
 
@@ -136,7 +136,7 @@ def _place(about: ModelCard, kept: KeptResult) -> str:
     result = kept.result
     if kept.way == "recording":
         session = str(result.get("session", "?"))
-        learnt = ", which it has learnt from" if session in index_of_config(about.config).logs else ""
+        learnt = ", part of its training data" if session in index_of_config(about.config).logs else ""
         return f"the recording {as_markdown(session)}{learnt}"
     laps = f"{shown_number(result.get('laps'))} laps at {shown_number(result.get('set_speed_mph'), 0)} mph"
     supervised = ", supervised by a person" if kept.way == "supervised" else ""

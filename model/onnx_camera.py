@@ -1,7 +1,7 @@
 """A run's network as PyTorch modules for an ONNX file: from crops, or from a camera's picture of any size.
 
-The arithmetic is OpenCV's, with weights of 11 bits for the resize and of 14 for YUV, so that the crop is equal to
-the one of `dataset.preprocessing.preprocess`. It uses doubles, which hold each of its integers exactly.
+The arithmetic is OpenCV's, with weights of 11 bits for the resize and of 14 bits for YUV, so the crop equals that
+of `dataset.preprocessing.preprocess`. Doubles hold all integers of this arithmetic exactly.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class FromCrops(nn.Module):
 
 
 class FromCamera(FromCrops):
-    """One picture, uint8 RGB (height, width, 3), to what `FromCrops` gives, and the crop."""
+    """One picture, uint8 RGB (height, width, 3), to the outputs of `FromCrops` and the crop."""
 
     def __init__(self, network: PictureNetwork, targets: Sequence[TargetName], spec: PictureSpec) -> None:
         super().__init__(network, targets)
@@ -44,7 +44,7 @@ class FromCamera(FromCrops):
 
 
 def _resized(picture: Tensor, spec: PictureSpec) -> Tensor:
-    """The rows of `PictureSpec.crop_slice` in the network's size, as cv2.resize with INTER_LINEAR gives them."""
+    """The rows of `PictureSpec.crop_slice` in the network's size, equal to cv2.resize with INTER_LINEAR."""
     height, width = (torch.scalar_tensor(side, dtype=torch.float64) for side in picture.shape[:2])
     top = torch.minimum(torch.round(height * (spec.crop_top / ROWS)), height - 1)
     rows = torch.maximum(height - torch.round(height * (spec.crop_bottom / ROWS)) - top, torch.ones_like(top))
@@ -59,15 +59,15 @@ def _resized(picture: Tensor, spec: PictureSpec) -> Tensor:
 
 
 def _neighbours(length: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """For each of `size` places on an axis: the two pixels next to it, and the share of the second in 1/2048."""
-    place = ((torch.arange(size, dtype=torch.float64) + 0.5) * (length / size) - 0.5).float()
-    first, last = place.floor(), (length - 1).float()
+    """For each of `size` positions on an axis: the two nearest pixels, and the share of the second in 1/2048."""
+    position = ((torch.arange(size, dtype=torch.float64) + 0.5) * (length / size) - 0.5).float()
+    first, last = position.floor(), (length - 1).float()
     pixels = (torch.minimum(first.clamp(min=0), last).long(), torch.minimum(first + 1, last).long())
-    return *pixels, ((place - first) * 2048).round().double()
+    return *pixels, ((position - first) * 2048).round().double()
 
 
 def _in_channels(rgb: Tensor, channels: str) -> Tensor:
-    """Levels as cv2.cvtColor gives them."""
+    """The picture in the order of colours `channels`, equal to cv2.cvtColor."""
     if channels == "RGB":
         return rgb
     red, green, blue = rgb.unbind(2)

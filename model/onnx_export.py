@@ -1,8 +1,8 @@
-"""A run's network as one ONNX file, for programs that have neither this toolkit nor PyTorch.
+"""Export a run's network as one ONNX file, for programs without this toolkit and PyTorch.
 
-PyTorch's exporter writes the graph. No file gets its name before ONNX Runtime has been compared with PyTorch.
+PyTorch's exporter writes the graph. The file gets its name after ONNX Runtime was compared with PyTorch.
 
-ONNX, ONNX Script and ONNX Runtime are an extra (`pip install ".[onnx]"`) and are imported only here.
+ONNX, ONNX Script and ONNX Runtime are an extra (`pip install ".[onnx]"`). Only this file imports them.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ from model.runs.run_folder import load_network, picture_of_run, run_name, target
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-OPSET, IR_VERSION = 18, 8  # of ONNX 1.13 (2022); PyTorch writes no earlier operators
+OPSET, IR_VERSION = 18, 8  # ONNX 1.13 (2022), the earliest that PyTorch writes
 _ABOUT: Final = {
-    "speed": "the speed in mph that it wants to be driven a little later, not clamped",
+    "speed": "the speed in mph that the car should have a little later, not clamped",
     "throttle": "-1 (full brake) .. 1 (full throttle), not clamped",
 }
 _CAMERA_PX: Final = ((320, 160), (160, 120), (640, 480), (128, 128), (97, 61), (224, 224), (40, 30), (320, 240))
-"""Widths and heights of the cameras' pictures with which a file with preprocessing is compared."""
-MAX_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; float32 leaves about 1e-6
-MAX_CROP_DIFFERENCE: Final = 1  # level of 255; none with OpenCV 5 on x86
+"""Widths and heights of the pictures that test a file with preprocessing."""
+MAX_DIFFERENCE: Final = 1e-4  # of steering -1..1: 0.0025 degrees; rounding in float32 gives about 1e-6
+MAX_CROP_DIFFERENCE: Final = 1  # level of 255; 0 with OpenCV 5 on x86
 
 
 def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, overwrite: bool = False) -> float:
-    """Write the network of a run folder to `path`; the largest difference of its steering between ONNX Runtime and
-    PyTorch on a few pictures.
+    """Write the network of a run folder to `path`. Returns the largest difference of its steering between ONNX
+    Runtime and PyTorch on a few pictures.
 
-    In: "pictures", uint8 (N, height, width, 3), in the network's order of colours. Out: "steering", float32 (N,),
-    not clamped, -1 (left) .. 1 (right); of other targets "speed_mph" and "throttle". `of_camera` puts the
-    preprocessing into the file: in is one "picture", uint8 RGB (height, width, 3) of any size, N is 1, and the
-    "crop" comes out, too. The file's metadata describe its use. Same run: the same bytes.
+    Input: "pictures", uint8 (N, height, width, 3), in the network's order of colours. Outputs: "steering", float32
+    (N,), not clamped, -1 (left) .. 1 (right); "speed_mph" and "throttle" for these targets. With `of_camera`, the
+    file contains the preprocessing: its input is one "picture", uint8 RGB (height, width, 3) of any size, N is 1,
+    and "crop" is a further output. The file's metadata describe its use. Equal runs give equal bytes.
 
     Raises RunError if the run is incomplete, damaged or of another version, if its network cannot be written or
-    its steering differs, if ONNX or ONNX Runtime is not installed, or if the disk is full; UserError if `path`
-    exists already.
+    its steering differs, if ONNX, ONNX Script or ONNX Runtime is not installed, or if the disk is full; UserError
+    if `path` exists.
     """
     require_onnx()
     run, path = Path(run), Path(path)
@@ -75,16 +75,16 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
         part.write_bytes(model.SerializeToString())
         compare = _largest_difference_of_camera if of_camera else _largest_difference
         difference = compare(part, network, picture, targets)
-        if not difference < MAX_DIFFERENCE:  # not a number, too
+        if not difference < MAX_DIFFERENCE:  # also NaN
             raise RunError(
-                f"{path}: not written: ONNX Runtime steers {difference:.1g} off PyTorch, less than"
-                f" {MAX_DIFFERENCE:g} was expected; its weights are huge or no numbers: train {run.name} again"
+                f"{path}: not written: the steering of ONNX Runtime and PyTorch differs by {difference:.1g}, less"
+                f" than {MAX_DIFFERENCE:g} was expected; its weights are huge or not finite: train it again"
             )
     return difference
 
 
 def require_onnx() -> None:
-    """Raises RunError if ONNX, ONNX Script or ONNX Runtime is not installed."""
+    """Raise RunError if ONNX, ONNX Script or ONNX Runtime is not installed."""
     try:
         for name in ("onnx", "onnxruntime", "onnxscript"):
             importlib.import_module(name)
@@ -96,8 +96,8 @@ def require_onnx() -> None:
 
 
 def example(spec: PictureSpec, network: str, picture: str) -> str:
-    """Python that prints the steering for a picture, where there is neither this toolkit nor PyTorch. `network`
-    and `picture` are expressions: where the ONNX file and the picture lie."""
+    """Python code that prints the steering for a picture, without this toolkit and PyTorch. `network` and
+    `picture` are Python expressions of the paths of the ONNX file and the picture."""
     top, bottom = spec.description["crop_top"], spec.description["crop_bottom"]
     convert = "" if spec.channels == "BGR" else f"crop = cv2.cvtColor(crop, cv2.COLOR_BGR2{spec.channels})\n"
     return (
@@ -114,14 +114,14 @@ def example(spec: PictureSpec, network: str, picture: str) -> str:
 def description(
     run: Path, picture: PictureSpec, targets: Sequence[TargetName] = STEERING_ONLY, of_camera: bool = False
 ) -> dict[str, str]:
-    """The metadata of the file: its input, its outputs, and the run it is of."""
+    """The metadata of the file: its input, its outputs, and its run."""
     top, bottom = picture.description["crop_top"], picture.description["crop_bottom"]
     size = f"{picture.width_px}x{picture.height_px}"
     colours = "" if picture.channels == "BGR" else f" Then from BGR to {picture.channels} (cv2.cvtColor)."
     preprocessing = (
         f"A camera picture as BGR, uint8, (height, width, 3). Cut round(height * {top}) rows off its top and"
         f" round(height * {bottom}) off its bottom. Resize to {size}, bilinear (OpenCV's"
-        f" INTER_LINEAR).{colours} Nothing else: the network scales by itself."
+        f" INTER_LINEAR).{colours} Nothing else: the network scales the levels itself."
     )
     code = "import sys\n" + example(picture, "sys.argv[1]", "sys.argv[2]")
     return {
@@ -138,7 +138,7 @@ def description(
 
 
 def input_line(picture: PictureSpec, of_camera: bool = False) -> str:
-    """The size, the order and the range of a file's input, in a line."""
+    """The size, the order of colours and the range of a file's input, in one line."""
     if of_camera:
         return "picture: uint8 (height, width, 3), RGB, 0..255, of any size, as the camera gives it"
     height, width, _ = picture.shape
@@ -172,7 +172,8 @@ def _model(
 def _exported(
     network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName], of_camera: bool
 ) -> ModelProto:
-    """PyTorch's export, without the paths of this machine. Raises RunError for a network that it cannot write."""
+    """PyTorch's export, without paths on this machine. Raises RunError for a network that PyTorch cannot
+    export."""
     from onnx_ir.passes.common import ClearMetadataAndDocStringPass
     from torch.onnx import OnnxExporterError
 
@@ -189,7 +190,7 @@ def _exported(
         warnings.simplefilter("ignore")
         try:
             traced = torch.export.export(module.eval(), (sample,), dynamic_shapes=sizes)
-        except Exception as error:  # of its own code, asked for what is only known of pictures
+        except Exception as error:  # the network's own code reads values of the picture
             raise RunError(f"its path through the layers depends on the picture ({in_one_line(error)})") from None
         try:
             program = torch.onnx.export(
@@ -201,8 +202,8 @@ def _exported(
                 verbose=False,
             )
         except OnnxExporterError as error:
-            raise RunError(f"a part is missing there ({in_one_line(_cause(error))})") from None
-    assert program is not None  # noqa: S101  # it was given no file to write
+            raise RunError(f"ONNX lacks a part of it ({in_one_line(_cause(error))})") from None
+    assert program is not None  # noqa: S101  # None only if a file is given
     ClearMetadataAndDocStringPass()(program.model)
     model = program.model_proto
     model.graph.ClearField("value_info")
@@ -215,7 +216,8 @@ def _exported(
 def _largest_difference(
     path: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]
 ) -> float:
-    """Between the file in ONNX Runtime and the network in PyTorch, in a batch of one picture and one of seven."""
+    """The largest difference between the file in ONNX Runtime and the network in PyTorch, on a batch of one
+    picture and a batch of seven."""
     session = _session(path)
     pictures = _pictures(picture)
     batches = [pictures[:1], pictures[1:]]
@@ -229,7 +231,7 @@ def _largest_difference(
 def _largest_difference_of_camera(
     path: Path, network: PictureNetwork, picture: PictureSpec, targets: Sequence[TargetName]
 ) -> float:
-    """As `_largest_difference`, for the crops that the file makes. Raises RunError for crops other than those of
+    """As `_largest_difference`, on the crops that the file makes. Raises RunError if they differ from the crops of
     training."""
     session = _session(path)
     names = [TARGETS[name].answer_name for name in targets]
@@ -242,12 +244,12 @@ def _largest_difference_of_camera(
             raise RunError(f"{path}: not written: its crop differs from training's by {off} grey levels")
         expected = network(as_input(seen[None])).numpy()
         differences.append(_difference(np.stack(answers, axis=1), expected, targets))
-    return float(np.max(differences))  # not a number if one is not
+    return float(np.max(differences))  # NaN if one is NaN
 
 
 @contextmanager
 def _without_log() -> Iterator[None]:
-    """PyTorch logs whole graphs to stderr where it fails."""
+    """Disable logging: if the export fails, PyTorch logs whole graphs to stderr."""
     logging.disable()
     try:
         yield
@@ -263,21 +265,22 @@ def _session(path: Path) -> Any:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1  # a pool of threads complains on stderr where it may not choose its cores
+    options.intra_op_num_threads = 1  # a thread pool warns on stderr if it may not choose its cores
     return onnxruntime.InferenceSession(path.read_bytes(), options, providers=["CPUExecutionProvider"])
 
 
 def _difference(
     exported: NDArray[np.float32], expected: NDArray[np.float32], targets: Sequence[TargetName]
 ) -> float:
-    """Of answers (N, K) in their units from those learnt."""
+    """The largest difference between answers `exported` (N, K), in the units of the targets, and answers
+    `expected`, in the units of the labels."""
     learnt = exported / [1.0 if name == "steering" else TARGETS[name].per_unit for name in targets]
-    with np.errstate(invalid="ignore"):  # weights that are no numbers: the difference is none either
+    with np.errstate(invalid="ignore"):  # NaN in the weights: the difference is NaN
         return float(np.abs(learnt - expected.reshape(learnt.shape)).max())
 
 
 def _pictures(picture: PictureSpec) -> NDArray[np.uint8]:
-    """Noise, black, white, and roads that bend from left to right: (8, height, width, 3), always the same."""
+    """Eight fixed pictures (8, height, width, 3): noise, black, white, and roads that bend from left to right."""
     random = np.random.default_rng(0)
     height, width, _ = picture.shape
     rows, columns = np.mgrid[0 : 1 : height * 1j, 0 : 1 : width * 1j]

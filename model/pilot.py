@@ -24,7 +24,7 @@ from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.faster_layers import pack_weights, sliced_max_pool, swap_layers
 from model.network.picture_network import PictureNetwork
-from model.network.replayed import ROUNDING, Replayed, exactly, replayed_where_the_same
+from model.network.replayed import ROUNDING, Replayed, exactly, replayed_if_equal
 from model.runs.run_folder import (
     load_network,
     picture_of_run,
@@ -40,15 +40,15 @@ _PROCESSOR = torch.device("cpu")
 
 
 class NetworkAnswer(NamedTuple):
-    """A network's answer to a picture; NaN or infinite if its weights are such."""
+    """A network's answer to a picture; NaN or infinite if the weights are."""
 
     steering: float  # -1 (left) .. 1 (right), not clamped
-    speed_mph: float | None = None  # the target; None: the network has no such output
-    throttle: float | None = None  # -1 .. 1, not clamped; None: the same
+    speed_mph: float | None = None  # target speed; None: the network does not answer it
+    throttle: float | None = None  # -1 .. 1, not clamped; None: the network does not answer it
 
     @property
     def is_finite(self) -> bool:
-        """Whether it can be driven by."""
+        """True if the car can drive with this answer."""
         return all(value is None or math.isfinite(value) for value in self)
 
 
@@ -66,20 +66,20 @@ class Pilot:
         speed_ahead_s: float = 0.0,
         device: torch.device = _PROCESSOR,
     ) -> None:
-        """Takes the network over, to `device`: its weights are rounded to `dtype`, float32 or bfloat16, for good.
+        """Moves the network itself to `device`, and rounds its weights to `dtype`, float32 or bfloat16.
 
-        `picture` is what it sees, if not the network's default; `targets` are its answers. An answered speed is to
-        be driven `speed_ahead_s` later. Raises ValueError if the network has not as many answers as `targets`,
-        RuntimeError if it does not work on the device or in `dtype`.
+        `picture` is the picture that the network sees, by default its own; `targets` are its answers. The car
+        should have an answered speed `speed_ahead_s` later. Raises ValueError if the number of the network's
+        answers is not that of `targets`, RuntimeError if the network does not work on the device or in `dtype`.
         """
         if len(targets) != network.outputs:
-            raise ValueError(f"{len(targets)} targets of a network with {network.outputs} answers")
+            raise ValueError(f"{len(targets)} targets for a network with {network.outputs} answers")
         self.run = run
         self.weights_sha256 = weights_sha256
         self.arithmetic = str(dtype).removeprefix("torch.")
-        """The arithmetic it calculates in: "float32" or "bfloat16"."""
+        """The arithmetic of the network: "float32" or "bfloat16"."""
         self.device = device.type
-        """What it calculates on: "cpu" or "cuda"."""
+        """The device of the network: "cpu" or "cuda"."""
         self.picture = picture or network.PICTURE
         self.targets = tuple(targets)
         self.speed_ahead_s = speed_ahead_s
@@ -88,18 +88,18 @@ class Pilot:
         self._device = device
         self._replayed: Replayed | None = None
         if device != _PROCESSOR:
-            self._answers(np.zeros(self.picture.shape, np.uint8))  # what does not work fails here, not in a drive
+            self._answers(np.zeros(self.picture.shape, np.uint8))  # an error comes now, not in a drive
             return
-        self._swap_where_the_same(lambda: swap_layers(network, sliced_max_pool))
+        self._swap_if_equal(lambda: swap_layers(network, sliced_max_pool))
         if dtype == torch.bfloat16:
-            self._swap_where_the_same(lambda: pack_weights(network))
+            self._swap_if_equal(lambda: pack_weights(network))
 
     def crop(self, picture: Image) -> Image:
-        """The crop that the network sees of a camera picture (height, width, 3) BGR: (`picture.shape`), in BGR."""
+        """The crop (`picture.shape`) BGR that the network sees of a camera picture (height, width, 3) BGR."""
         return crop_of(picture, self.picture)
 
     def answer(self, crop: Image) -> NetworkAnswer:
-        """All that the network answers to a crop (`picture.shape`) BGR uint8."""
+        """The network's answers to a crop (`picture.shape`) BGR uint8."""
         values = self._answers(crop).tolist()
         answers = {TARGETS[name].answer_name: value for name, value in zip(self.targets, values, strict=True)}
         if "speed_mph" in answers:
@@ -108,7 +108,7 @@ class Pilot:
 
     @torch.inference_mode()
     def _answers(self, crop: Image) -> NDArray[np.float32]:
-        """(K,) in the units that were learnt."""
+        """The answers (K,) in the units of the labels."""
         pixels = np.ascontiguousarray(in_channels(crop, self.picture))[None]
         if self._replayed is not None:
             return self._replayed(pixels)
@@ -116,7 +116,7 @@ class Pilot:
         return answers
 
     def _calculate(self, inputs: Tensor) -> Tensor:
-        """The same of a picture (1, 3, height, width) uint8, both on the device."""
+        """The answers (K,) to a picture (1, 3, height, width) uint8, both on the device."""
         with exactly(self._device):
             answers: Tensor = self._network(inputs).flatten().float()
         return answers
@@ -128,21 +128,22 @@ class Pilot:
     def warm_up(self) -> None:
         """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
 
-        From here on it computes on one thread. On two, one picture is a fifth faster, but a busy machine makes
-        every layer wait for the slower thread (one answer in a hundred then takes 20 ms), and the number of cores
-        would show in the last bits of a steering. A GPU then replays its work on a picture, if it can.
+        From now on, the process computes on one thread. On two threads, a picture is a fifth faster. But on a busy
+        machine, every layer waits for the slower thread (one answer in a hundred takes 20 ms), and the last bits
+        of the steering would depend on the number of cores. A GPU replays its recorded work on a picture if it
+        can.
         """
         keep_freed_memory()
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
         if self.device == "cuda" and self._replayed is None:
-            self._replayed = replayed_where_the_same(self._calculate, self.picture.shape, self._device)
+            self._replayed = replayed_if_equal(self._calculate, self.picture.shape, self._device)
         for _ in range(WARM_UP_PREDICTIONS):
             self.predict(np.zeros(self.picture.shape, np.uint8))
 
-    def _swap_where_the_same(self, swap: Callable[[], Callable[[], None] | None]) -> None:
-        """Put faster layers in the place of the network's, unless it answers otherwise with them: one's own code
-        may use its layers in other ways."""
+    def _swap_if_equal(self, swap: Callable[[], Callable[[], None] | None]) -> None:
+        """Replace layers of the network by faster ones if its answer stays equal: a user's own network may use its
+        layers in other ways."""
         noise = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
         before = self._answers(noise)
         if (undo := swap()) is None:
@@ -159,27 +160,27 @@ class Pilot:
 def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = "auto") -> Pilot:
     """The pilot of a run folder.
 
-    `device` is what it calculates on; "auto" takes a GPU if there is one. `precision` is that of its arithmetic;
-    "auto" takes bfloat16 where the device has it, as training does. On a processor, one picture then takes five
-    eighths of the time. Over 5,000 pictures, real and drawn, a trained network's steering differed by 0.02 degrees
-    on average and by 0.2 at most from that of float32, in which evaluations measure.
+    `device` "auto" takes a GPU if there is one. `precision` "auto" takes bfloat16 if the device supports it, as
+    training does. On a processor, bfloat16 takes five eighths of the time of float32. On 5,000 pictures, real and
+    rendered, a trained network's steering differed by 0.02 degrees on average, and by 0.2 degrees at most, from
+    float32, in which evaluations measure.
 
     With "auto", a network that does not work in bfloat16 drives in float32, and one that does not work on the GPU
     drives on the processor.
 
-    Raises RunError if the run is incomplete, damaged or of another version, if its network is a user's own that
-    was not named (`load_code`) or does not work here, or if there is no such device.
+    Raises RunError if the run is incomplete, damaged or of another version, if its network is a user's own and was
+    not named (`load_code`) or does not work on this machine, or if the device does not exist.
     """
     run = Path(run)
     picture = picture_of_run(run)
     answers = targets_of_run(run), speed_ahead_s_of_run(run)
     problem = ""
     for chosen, dtype in _ways(precision, device):
-        network = load_network(run)  # names what is wrong with the weights' file
+        network = load_network(run)  # first: its errors name what is wrong with the file of the weights
         about = run_name(run), weights_checksum(run)
         try:
             return Pilot(network, *about, dtype, picture, *answers, chosen)
-        except (RuntimeError, TypeError) as error:  # types that do not go together, or nothing that a GPU can do
+        except (RuntimeError, TypeError) as error:  # for example, an operation without a bfloat16 or GPU version
             place = "" if chosen == _PROCESSOR else " on the GPU"
             problem = f"in {str(dtype).removeprefix('torch.')}{place} ({in_one_line(error)})"
     other = " or ".join(
@@ -189,7 +190,7 @@ def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = 
 
 
 def _ways(precision: Precision, device: Device) -> Iterator[tuple[torch.device, torch.dtype]]:
-    """The devices and arithmetics that may be taken, the best first."""
+    """The devices and arithmetics to try, the best first."""
     chosen = choose_device(device)
     for place in dict.fromkeys([chosen, _PROCESSOR] if device == "auto" else [chosen]):
         dtype = training_dtype(precision, place)

@@ -1,4 +1,4 @@
-"""`bc-runs`: lists trained runs, so that they can be compared."""
+"""`bc-runs`: list trained runs, to compare them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from common.output import print_message, print_next, print_result, print_table
 if TYPE_CHECKING:
     from model.runs.run_summary import RunSummary
 
-_A_WHOLE_LAP: Final = 0.99  # a drive ends within a telemetry of the line
+_A_WHOLE_LAP: Final = 0.99  # a drive may end one message before the line
 SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
     "newest": lambda run: _descending(run.written_at),
     "name": lambda run: run.name,
@@ -34,8 +34,8 @@ SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
     "correlation": lambda run: -run.correlation,
     "interventions": lambda run: run.interventions_per_km,
 }
-"""The best comes first. Errors are shares of those of always predicting the mean."""
-_OF_HELD_OUT: Final = ("rmse", "balanced-rmse", "correlation")
+"""The sort keys of --sort: the best run comes first. Errors are divided by those of always predicting the mean."""
+_BY_HELD_OUT: Final = ("rmse", "balanced-rmse", "correlation")
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def list_runs(config: Runs) -> int:
     from model.runs.run_summary import summarize_runs
 
     if isinstance(config.runs, Path) and not config.runs.is_dir():
-        problem = "a file, no folder of runs" if config.runs.exists() else "no such folder"
+        problem = "a file, not a folder" if config.runs.exists() else "the folder does not exist"
         raise UserError(f"{config.runs}: {problem}; train a run with `bc-train`, or give --runs FOLDER")
     summaries = list(summarize_runs(config.runs))
     if not summaries:
@@ -78,29 +78,30 @@ def list_runs(config: Runs) -> int:
 
 
 def in_order(runs: Sequence[RunSummary], by: str) -> list[RunSummary]:
-    """The runs, the best first. By errors on held-out frames, those that were measured on the same ones stand
-    together, with the newest run's first."""
+    """The runs, the best first. When sorted by errors on held-out frames, runs with the same frames are grouped;
+    the group of the newest run comes first."""
     runs = sorted(runs, key=lambda run: order_of(by, run))
-    if by in _OF_HELD_OUT:
+    if by in _BY_HELD_OUT:
         marks = marks_of_splits(runs)
         runs.sort(key=lambda run: (not run.split, marks.get(run.split, "")))
     return runs
 
 
 def marks_of_splits(runs: Sequence[RunSummary]) -> dict[str, str]:
-    """A mark for each split that runs were measured on, "A" for the newest run's; none if there is only one."""
+    """A letter for each split on which runs were measured, "A" for that of the newest run; empty for a single
+    split."""
     newest = sorted(runs, key=lambda run: order_of("newest", run))
     splits = dict.fromkeys(run.split for run in newest if run.split)
     return {split: _letters(number) for number, split in enumerate(splits)} if len(splits) > 1 else {}
 
 
 def _letters(number: int) -> str:
-    """A to Z, then AA, so that they sort as the numbers do."""
+    """A to Z, then ZA, so that the letters sort as the numbers do."""
     return "Z" * (number // 26) + chr(ord("A") + number % 26)
 
 
 def different_frames(runs: Sequence[RunSummary]) -> str:
-    """A line if runs were measured on different frames: how to measure them on the same ones."""
+    """A line that explains how to measure runs on the same frames; empty if they were already."""
     marks = marks_of_splits(runs)
     if not marks:
         return ""
@@ -109,8 +110,8 @@ def different_frames(runs: Sequence[RunSummary]) -> str:
         f"`bc-eval {shlex.quote(printable(first[split]))} --session NAME`" for split in [*marks][:2]
     )
     return (
-        f"held-out frames {', '.join(marks.values())} are different ones: errors compare only within a letter."
-        f" {lines}, with a session that none of them has learnt, measure them on the same frames"
+        f"held-out frames {', '.join(marks.values())} differ: compare errors only within a letter."
+        f" {lines}, with a session that no run has learnt, measure runs on the same frames"
     )
 
 
@@ -142,9 +143,8 @@ def _table(runs: Sequence[RunSummary]) -> Table:
     headings = ("run", "network", "sessions", "recipe", "epoch", *(("frames",) if marks else ()))
     for heading in (*headings, "RMSE", "balanced", "r", "verdict", *(("interventions",) if has_driven else ())):
         is_text = heading in ("run", "network", "recipe", "frames", "interventions", "verdict")
-        is_name = heading == "run"  # of any length; no other heading is broken up for it
-        least = None if is_name else len(heading)
-        table.add_column(heading, justify="left" if is_text else "right", overflow="fold", min_width=least)
+        min_width = None if heading == "run" else len(heading)  # a long name must not break up other headings
+        table.add_column(heading, justify="left" if is_text else "right", overflow="fold", min_width=min_width)
     for run in runs:
         table.add_row(
             escape(printable(run.name)),
@@ -163,13 +163,13 @@ def _table(runs: Sequence[RunSummary]) -> Table:
 
 
 def _network_words(run: RunSummary) -> str:
-    """ "original", "small +speed": the network, and what it answers besides steering."""
+    """The network and its targets other than steering: "original", "small +speed"."""
     return " ".join([run.network, *(f"+{target}" for target in run.targets[1:])])
 
 
 def driven_words(drives: Sequence[dict[str, Any]], supervised: Sequence[dict[str, Any]] = ()) -> str:
-    """The interventions on each track, by speed: "10 mph: lake 0, mountain 1"; and in how much of a lap, where it
-    was not a whole one. Then those of drives that a person supervised, and how many are the person's."""
+    """The interventions on each track, by speed: "10 mph: lake 0, mountain 1", with the laps of a partial lap.
+    Then those of supervised drives, with the number of the person's."""
     return "; ".join([*_by_speed(drives), *(f"supervised at {words}" for words in _by_speed(supervised))])
 
 

@@ -1,4 +1,4 @@
-"""The flags of `bc-train`, their defaults, and which of them go together."""
+"""The flags of `bc-train`, their defaults, and the combinations that are refused."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ class Train:
 
 
 def refuse_contradictions(config: Train) -> None:
-    """Raise UsageError for flags that do not go together."""
+    """Raise UsageError for flags that contradict each other."""
     if os.environ.get("WORLD_SIZE", "1") != "1":
         raise UsageError("one training is one process: start it without torchrun (WORLD_SIZE)")
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
-    if config.resume is not None and (unfit := [flag for flag, value in others.items() if value]):
-        raise UsageError(f"{' and '.join(unfit)} make a new run, --resume continues one: give one of them")
+    if config.resume is not None and (given := [flag for flag, value in others.items() if value]):
+        raise UsageError(f"{' and '.join(given)} make a new run, --resume continues one: give one of them")
     if config.takeovers and config.init is None:
         raise UsageError("--takeovers continues a run: give it with --init RUN")
     if (config.on or config.takeovers) and (config.resume is not None or config.like is not None):
@@ -75,25 +75,25 @@ def refuse_contradictions(config: Train) -> None:
     if config.on and config.takeovers:
         raise UsageError("--on, --takeovers: give one of them")
     if isinstance(config.runs, Url) and config.copy_to is not None:
-        raise UsageError(f"--runs {config.runs}: the run is already copied there: leave out --copy-to")
+        raise UsageError(f"--runs {config.runs}: already copies the run to this URL: leave out --copy-to")
     if Path(config.name).name != config.name or config.name.startswith("."):
         raise UsageError(f"--name {config.name!r}: a plain name was expected; give the folder with --runs")
 
 
 def defaults() -> Train:
-    """The defaults of the flags: the settings and places of the run that is named with --resume or --like.
+    """The defaults of the flags: with --resume or --like, the settings and places of that run.
 
-    Raises UsageError for the recipe of another run than the one to be repeated: no setting would follow from it.
+    Raises UsageError for --like with another --recipe: the recipe would change no setting.
     """
-    given = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    given.add_argument("--resume")
-    given.add_argument("--like")
-    given.add_argument("--runs", type=location, default=RUNS)
-    given.add_argument("--network")
-    given.add_argument("--index")
-    given.add_argument("--sessions", type=location)
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--resume")
+    parser.add_argument("--like")
+    parser.add_argument("--runs", type=location, default=RUNS)
+    parser.add_argument("--network")
+    parser.add_argument("--index")
+    parser.add_argument("--sessions", type=location)
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
-        flags, _ = given.parse_known_args()
+        flags, _ = parser.parse_known_args()
         name, runs = flags.resume if flags.resume is not None else flags.like, flags.runs
         if name:
             from model.runs.network_of_run import choice_of, is_own_network
@@ -112,7 +112,7 @@ def defaults() -> Train:
                 run = find_any_run(name, runs)
             stored = load_config(run)
             if is_own_network(stored) and flags.network is None:
-                choice_of(stored, run)  # raises: code is never run because a run names it
+                choice_of(stored, run)  # raises RunError: a run's code runs only if the user names it
             settings = training_of(stored, run)
             if flags.resume is None and recipe_given(settings.recipe) != settings.recipe:
                 raise UsageError("--recipe with --like: that run's settings are repeated; leave out one of them")

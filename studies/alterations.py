@@ -1,13 +1,14 @@
-"""Do alterations drawn anew in every epoch help? One person out: trained on some people, measured on the others.
+"""Do random alterations in every epoch help? Networks are trained on some people and measured on the others.
 
 python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people all] [--seeds 0 1 2]
     [--parts one three drive] [--table] [--together]
 
-"one": a network of each person alone, measured on all the others. "three": a network of all but one, measured on
-that one, without the frames of crashes. Errors are shares of those of always predicting the mean of these frames.
-"drive": a network of half a lap of both built-in tracks by the simulated keyboard driver drives full laps. Each
-result is a file in FOLDER/results: what is there is not made again, and a training that was stopped goes on.
---table only prints. --together measures the networks of all seeds of "three" as one that answers their mean.
+"one": for each person, a network trained on this person is measured on all others. "three": for each person, a
+network trained on all others is measured on this person. Frames of crashes are left out. Errors are divided by
+those of always predicting the mean of the same frames. "drive": a network trained on half a lap of both built-in
+tracks by the simulated keyboard driver drives full laps. Each result is a file in FOLDER/results. Existing results
+are not computed again, and a stopped training continues. --table only prints.
+--together measures the mean answer of the networks of all seeds of "three".
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def parts(logs: Sequence[Path], kind: str) -> list[list[Path]]:
 def measure(
     folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], logs: Sequence[Path]
 ) -> None:
-    """Train, and measure on the logs that are not learnt."""
+    """Train on `learnt`, and measure on the other logs."""
     result = file_of(folder, network, recipe, seed, learnt)
     if result.exists():
         return
@@ -113,7 +114,7 @@ def values_of(evaluation: Evaluation) -> dict[str, dict[str, float]]:
 
 
 def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Trained:
-    # nothing is needed to choose an epoch of others' frames, but something has to be held out
+    # the held-out frames are not needed to choose an epoch, but an index must hold out some
     index = folder / "indexes" / "-".join(log.stem for log in learnt)
     if not index.exists():
         build_index(list(learnt), index, IndexConfig(validation_share=0.1))
@@ -123,7 +124,7 @@ def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Seque
 
 
 def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:
-    """Train on half laps of somebody at a keyboard, and drive."""
+    """Train on half laps by the simulated keyboard driver, and drive."""
     sessions = [folder / "sessions" / f"keyboard_{track}.mcap" for track in ("lake", "mountain")]
     result = file_of(folder, network, recipe, seed, sessions)
     if result.exists():
@@ -145,13 +146,13 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:
     trained = trained_on(folder, network, recipe, seed, sessions)
     drives = [(BuiltInSimulator(road), DriveConfig(set_speed_mph=MPH)) for road in ROADS]
     reports = [
-        each.report for each in drive(load_pilot(trained.run), drives, trained.run / "drives", overwrite=True)
+        result.report for result in drive(load_pilot(trained.run), drives, trained.run / "drives", overwrite=True)
     ]
     keep(result, dict(zip(ROADS, reports, strict=True)))
 
 
 def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequence[int]) -> None:
-    """For each recipe and seed: interventions, and the mean offset as a share of the half width."""
+    """Print interventions, and the mean offset as a share of the half width, for each recipe and seed."""
     print(f"\n| `{network}` | seed | {' | '.join(ROADS)} |\n|{'---|' * (2 + len(ROADS))}")
     sessions = [Path("keyboard_lake"), Path("keyboard_mountain")]
     for recipe, seed in product(recipes, seeds):
@@ -162,10 +163,10 @@ def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequ
             print(f"| {recipe} | {seed} | {' | '.join(cells)} |")
 
 
-def keep(result: Path, kept: Mapping[str, object]) -> None:
+def keep(result: Path, values: Mapping[str, object]) -> None:
     result.parent.mkdir(exist_ok=True)
     unfinished = result.with_suffix(".part")
-    unfinished.write_text(json.dumps(kept))
+    unfinished.write_text(json.dumps(values))
     unfinished.rename(result)
 
 
@@ -198,23 +199,23 @@ def print_together(
 def print_table(
     folder: Path, network: str, kind: str, logs: Sequence[Path], recipes: Sequence[str], seeds: Sequence[int]
 ) -> None:
-    """For each recipe: means over pairs of each seed, their mean, and the least and the most."""
+    """Print, for each recipe, the mean over pairs of each seed: its mean, minimum and maximum over seeds."""
     print(
         f"\n| `{network}`, trained on {kind} | seeds | {' | '.join(MEASURES)} |\n|{'---|' * (2 + len(MEASURES))}"
     )
     for recipe in recipes:
-        of_seeds: list[list[float]] = []
+        seed_means: list[list[float]] = []
         for seed in seeds:
             files = [file_of(folder, network, recipe, seed, learnt) for learnt in parts(logs, kind)]
             if not all(file.exists() for file in files):
                 continue
             measures = [values for file in files for values in json.loads(file.read_text())["sessions"].values()]
-            of_seeds.append([statistics.fmean(values[name] for values in measures) for name in MEASURES])
-        if not of_seeds:
+            seed_means.append([statistics.fmean(values[name] for values in measures) for name in MEASURES])
+        if not seed_means:
             continue
-        columns = list(zip(*of_seeds, strict=True))
-        cells = [f"{statistics.fmean(each):.3f} ({min(each):.3f} to {max(each):.3f})" for each in columns]
-        print(f"| {recipe} | {len(of_seeds)} | {' | '.join(cells)} |")
+        columns = list(zip(*seed_means, strict=True))
+        cells = [f"{statistics.fmean(means):.3f} ({min(means):.3f} to {max(means):.3f})" for means in columns]
+        print(f"| {recipe} | {len(seed_means)} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

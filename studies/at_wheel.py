@@ -1,15 +1,17 @@
-"""A person at the wheel, in Chromium: from a key to the picture in which the car obeys; takeovers; an hour of it.
+"""A person at the wheel, in Chromium: the delay from a key to the picture that shows its effect; takeovers; an
+hour.
 
 python studies/at_wheel.py [--seconds 120] [--track lake] [--json at_wheel.json]
 python studies/at_wheel.py --takeovers 1000
 python studies/at_wheel.py --minutes 60
 
-The first drives the built-in simulator by real key events at random moments, to the side that keeps the car on the
-road, while three cameras are recorded at 10 rows a second. Measured is the time from each key event to the end of
-the animation frame that shows the first picture in which its steering is in force, and the time between two such
-frames. Before it, the same machine's renderer alone, on one core. The second supervises a network through the
-wheel's socket: no answer of the network may be sent between a takeover and its hand back. The third drives on by
-keys, and watches memory, files and rows. Timings need a machine that does nothing else; the load is printed.
+The first command drives the built-in simulator with real key events at random moments, to the side that keeps the
+car on the road, while it records three cameras at 10 rows a second. It measures the time from each key event to
+the end of the animation frame with the first picture that shows the new steering, and the time between two such
+frames. Before that, it measures the renderer alone on one core. The second command supervises a network through
+the wheel's socket: between a takeover and its hand back, no answer of the network may be sent. The third command
+drives by keys for an hour, and watches memory, files and rows. Timings need an otherwise idle machine; the load is
+printed.
 """
 
 from __future__ import annotations
@@ -61,11 +63,11 @@ WATCH: Final = """async () => {
 }"""
 PRESS_S: Final = (0.05, 0.3)
 PAUSE_S: Final = 0.25  # on average
-TAKEN: Final = 0.625  # a steering that no network answers
+TAKEN: Final = 0.625  # steering that the network does not answer, to recognise the person's
 
 
 def renderer_alone(track: str, seconds: float) -> dict[str, float]:
-    """Pictures of each size for the eye, and rows of three cameras, that one core makes a second."""
+    """The pictures of each size for the page, and the rows of three cameras, that one core renders in a second."""
     cv2.setNumThreads(1)
     simulation = Simulation(track)
     line = simulation.track.line
@@ -85,7 +87,7 @@ def renderer_alone(track: str, seconds: float) -> dict[str, float]:
 
 
 def delays(folder: Path, track: str, seconds: float, seed: int) -> dict[str, Any]:
-    """Press keys at random moments while a drive is recorded."""
+    """Press keys at random moments while a drive is recorded. Returns the measurements."""
     alone = renderer_alone(track, min(3.0, seconds / 4))
     words = ("delays", "--driver", "me", "--no-page", "--track", track)
     with (
@@ -121,7 +123,8 @@ def delays(folder: Path, track: str, seconds: float, seed: int) -> dict[str, Any
         passed_s = time.monotonic() - begin_s
         measured = page.page.evaluate("measured")
         seen = page.see()
-        cpus = [(cpu_s(each) - before) / passed_s for each, before in zip((drive, server), used_s, strict=True)]
+        processes = zip((drive, server), used_s, strict=True)
+        cpus = [(cpu_s(process) - before_s) / passed_s for process, before_s in processes]
         page.end()
     between = np.diff(measured["pictures"])
     result: dict[str, Any] = {
@@ -150,7 +153,7 @@ def delays(folder: Path, track: str, seconds: float, seed: int) -> dict[str, Any
 
 
 class Socket:
-    """The wheel's socket, as bc-web has it."""
+    """The wheel's socket, as bc-web uses it."""
 
     def __init__(self, connection: ClientConnection) -> None:
         self._socket = connection
@@ -182,9 +185,9 @@ def socket_of(wheel: OpenWheel) -> ClientConnection:
 
 
 def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int) -> dict[str, Any]:
-    """Take over from a network at random moments, and hand back."""
+    """Take over from a network at random moments, and hand back. Returns the counts."""
     if run is None:
-        progress("a network is trained, to be taken over from")
+        progress("training a network to take over from")
         done(folder, "bc-record", "short", "--track", track, "--laps", "0.05")
         done(folder, "bc-train", "--name", "short", "--epochs", "1")
     log, chance = folder / "drives" / "takeovers.mcap", random.Random(seed)
@@ -199,7 +202,7 @@ def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int)
         for made in range(times):
             for _ in range(chance.randint(1, 3)):
                 page.frame()
-            time.sleep(chance.uniform(0, 0.1))  # at any moment of the network's
+            time.sleep(chance.uniform(0, 0.1))  # at any moment of the network's step
             number = page.steer(TAKEN, is_touching=True)
             while (state := page.frame())["control"] < number:
                 pass
@@ -224,7 +227,7 @@ def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int)
     return {
         "load": load(),
         "takeovers": times,
-        "stretches of a person in the log": human,  # more: the network has answered within one
+        "stretches of a person in the log": human,  # more than takeovers: the network has answered within one
         "frames after a takeover, by who drove": dict(after),
         "rows": len(drivers),
         "rows by a person": sum(driver == PilotCommand.HUMAN for driver in drivers),
@@ -233,7 +236,7 @@ def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int)
 
 
 def soak(folder: Path, track: str, minutes: float, seed: int, keep: Path) -> dict[str, Any]:
-    """Drive by keys for so long; what is measured is kept as it comes."""
+    """Drive by keys for `minutes`, and write the samples to `keep` as they come. Returns the measurements."""
     words = ("soak", "--driver", "me", "--no-page", "--track", track)
     samples: list[dict[str, float]] = []
     with (
@@ -266,7 +269,7 @@ def soak(folder: Path, track: str, minutes: float, seed: int, keep: Path) -> dic
     with Log(log) as opened:
         rows = len(opened.vehicle()["row"])
         pictures = {camera: opened.counts[f"/camera/{camera}"] for camera in CAMERAS}
-    warm = samples[len(samples) // 6 :]  # what is loaded once is loaded by then
+    warm = samples[len(samples) // 6 :]  # after everything that is loaded once
     result: dict[str, Any] = {
         "load": load(),
         "minutes": minutes,
@@ -308,18 +311,20 @@ def print_table(title: str, result: dict[str, Any]) -> None:
         bar = f" (at most {BARS_MS[name]:.0f})" if name in BARS_MS else ""
         if name not in ("delays_ms", "samples"):
             shown = (
-                ", ".join(f"{key}: {each}" for key, each in value.items()) if isinstance(value, dict) else value
+                ", ".join(f"{key}: {part}" for key, part in value.items()) if isinstance(value, dict) else value
             )
             print(f"| {name}{bar} | {shown} |")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=120, help="of key presses")
-    parser.add_argument("--takeovers", type=int, default=0, help="supervise a network instead")
-    parser.add_argument("--minutes", type=float, default=0, help="drive on for so long instead")
+    parser.add_argument("--seconds", type=float, default=120, help="length of the key presses")
+    parser.add_argument(
+        "--takeovers", type=int, default=0, help="instead, supervise a network with this many takeovers"
+    )
+    parser.add_argument("--minutes", type=float, default=0, help="instead, drive for this time")
     parser.add_argument("--track", default="lake")
-    parser.add_argument("--run", type=Path, help="of --takeovers; by default one is trained")
+    parser.add_argument("--run", type=Path, help="the network for --takeovers; by default a new one")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, default=Path("at_wheel.json"))
     asked = parser.parse_args()

@@ -1,9 +1,9 @@
-"""A run in CarRacing-v3, beside its expert, on tracks that nobody recorded: tiles visited and reward.
+"""A run in CarRacing-v3, compared with its expert, on tracks that were not recorded: visited tiles and reward.
 
 python studies/car_racing.py runs/racer
 
-The run was recorded, trained and is driven as docs/gymnasium.md says. The network steers; the expert works the
-pedals of both, and steers his own.
+docs/gymnasium.md shows how to record, train and drive the run. In one drive the network steers, in the other the
+expert; the expert works the pedals in both.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ def main() -> None:
 
 
 def episode(car: GymnasiumCar, seed: int, pilot: Pilot | None = None) -> tuple[int, int, float]:
-    """A drive by the pilot's steering, or by the expert's: the track's tiles, those visited, and the reward."""
+    """Drive with the pilot's steering, or without a pilot with the expert's. Returns the number of tiles of the
+    track, the number of visited tiles, and the reward."""
     moment, reward, steps = car.reset(seed), 0.0, 0
     driver = None if pilot is None else Driver(pilot, DriveConfig())
     while not moment.end:

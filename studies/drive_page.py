@@ -1,4 +1,4 @@
-"""What benchmarks of a person at the wheel share: commands that run beside, Chromium, and the page of a drive."""
+"""Shared by the studies of a person at the wheel: background commands, Chromium, and the page of a drive."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ T = TypeVar("T")
 
 
 def command(name: str, *words: object) -> list[str]:
-    """A `bc-` command line that runs without being installed."""
+    """A `bc-` command line that works without an installation."""
     code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
     return [sys.executable, "-c", code, *map(str, words)]
 
 
 @contextlib.contextmanager
 def running(folder: Path, name: str, *words: object) -> Iterator[psutil.Process]:
-    """A command that runs in `folder`; ended by Ctrl-C if it has not ended by itself. Its output is kept."""
+    """Run a command in `folder` during the block, then end it by Ctrl-C. Its output goes to output/."""
     (folder / "output").mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     with (folder / "output" / f"{name}-{time.time_ns()}.txt").open("w") as output:
@@ -71,7 +71,7 @@ def running(folder: Path, name: str, *words: object) -> Iterator[psutil.Process]
 
 
 def done(folder: Path, name: str, *words: object) -> str:
-    """Run a command to its end; what it has printed. Raises RuntimeError with its errors."""
+    """Run a command to its end. Returns its output. Raises RuntimeError with its errors."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     line = command(name, *words)
     ended = subprocess.run(line, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -81,7 +81,7 @@ def done(folder: Path, name: str, *words: object) -> str:
 
 
 def wait_for(look: Callable[[], T | None], what: str, process: psutil.Process | None = None) -> T:
-    """What `look` returns, once it is not None."""
+    """Wait until `look` returns a value other than None, and return it. Raises RuntimeError after `PATIENCE_S`."""
     end_s = time.monotonic() + PATIENCE_S
     while (result := look()) is None:
         ended = process is not None and process.status() == psutil.STATUS_ZOMBIE
@@ -93,7 +93,7 @@ def wait_for(look: Callable[[], T | None], what: str, process: psutil.Process | 
 
 @contextlib.contextmanager
 def workbench(folder: Path) -> Iterator[tuple[psutil.Process, str]]:
-    """bc-web in `folder`, and its address."""
+    """Run bc-web in `folder`. Yields its process and its address."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
 
@@ -109,7 +109,7 @@ def workbench(folder: Path) -> Iterator[tuple[psutil.Process, str]]:
 
 
 def wheel_of(folder: Path, process: psutil.Process) -> OpenWheel:
-    """The wheel of the drive that runs in `folder`."""
+    """The wheel of the drive in `folder`."""
     return wait_for(lambda: next(iter(open_wheels(folder)), None), "the wheel of the drive", process)
 
 
@@ -127,7 +127,7 @@ def chromium() -> Iterator[Browser]:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a page shows at a moment."""
+    """The values that a page shows at one moment."""
 
     frame: int
     x_m: float
@@ -145,7 +145,7 @@ class Seen:
 
 
 class DrivePage:
-    """The page of a drive in Chromium. All that it returns is shown on the page."""
+    """The page of a drive in Chromium. It returns only values that the page shows."""
 
     def __init__(self, browser: Browser, address: str, wheel: OpenWheel) -> None:
         self.page: Page = browser.new_page(viewport={"width": 1280, "height": 800})
@@ -154,13 +154,13 @@ class DrivePage:
         self.page.wait_for_selector("#wheel[data-holder=true][data-frame]", timeout=PATIENCE_S * 1000)
 
     def road(self) -> Floats:
-        """The middle of the map's road, (N, 3) m; its height is not shown, and 0."""
+        """The middle of the map's road, (N, 3) m. The map shows no height: it is 0."""
         rings = str(self.page.evaluate(ROAD)).removeprefix("M").split("M")
         left, right = (
             np.array([[float(number) for number in point.split(",")] for point in ring.rstrip("Z").split("L")])
             for ring in rings
         )
-        middle = (left + right) / 2 * (1, -1)  # pictures count downwards
+        middle = (left + right) / 2 * (1, -1)  # in pictures, y points down
         self.half_width_m = np.hypot(*(left - right).T) / 2
         return np.column_stack([middle, np.zeros(len(middle))])
 
@@ -190,7 +190,7 @@ class DrivePage:
         wait_for(lambda: self.see().is_recording or None, "the recording to begin")
 
     def end(self) -> None:
-        """End the drive, as a person does."""
+        """End the drive with the page's keys and buttons."""
         if not self.see().is_ended:
             self.page.keyboard.press("Escape")
             self.page.click("#confirm button[value=end]")
@@ -201,7 +201,7 @@ class DrivePage:
 
 
 class RoadMap:
-    """Where the car is on the map's road."""
+    """The road of the map, to locate the car on it."""
 
     def __init__(self, page: DrivePage) -> None:
         self.line = Centreline(page.road())
@@ -209,7 +209,7 @@ class RoadMap:
         self.half_width_m = np.interp(grid, np.arange(len(page.half_width_m)), page.half_width_m)
 
     def arc_m(self, seen: Seen) -> float:
-        """How far along the road the car is."""
+        """The car's position along the road in m."""
         distance = np.hypot(*(self.line.points_m[:, :2] - (seen.x_m, seen.y_m)).T)
         nearest = int(distance.argmin())
         return float(nearest * self.line.step_m)

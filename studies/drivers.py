@@ -1,11 +1,11 @@
-"""The drivers like people of the built-in simulator, beside recordings of people: a table, and a figure.
+"""The simulated keyboard and mouse drivers, compared with recordings of people: a table and a figure.
 
 python studies/drivers.py sessions/lake_windows.mcap sessions/jungle.mcap ... [--figure drivers.png]
     [--mph 10 15 20] [--laps 1] [--seeds 0 1 2]
 
-The logs are of people (`bc-record NAME --from FOLDER`). Rows below 8 mph are left out: there people stand at walls
-with full lock. The figure shows the first log beside the keyboard's driver, and the last one beside the mouse's.
-The drivers drive without a renderer, so that all of it takes two minutes.
+The logs are recordings of people (`bc-record NAME --from FOLDER`). Rows below 8 mph are left out, because people
+stand at walls with full lock. The figure compares the first log with the keyboard driver, and the last log with
+the mouse driver. The drivers drive without a renderer, so the study takes two minutes.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ Floats = NDArray[np.float64]
 PLACES: Final = {"lake": ["lake"], "mountain": ["mountain"], "random:1 to 3": ["random:1", "random:2", "random:3"]}
 PEOPLE: Final[tuple[DriverName, ...]] = ("keyboard", "mouse")
 SLOWEST_MPH: Final = 8.0
-GAP_S: Final = 0.5  # rows farther apart are two drives
-AROUND_S: Final = 0.25  # before and after a row: its neighbours
+GAP_S: Final = 0.5  # rows farther apart belong to two drives
+AROUND_S: Final = 0.25  # neighbours of a row are within this time before and after it
 NOISE: Final = 0.03
 LONGEST_LAG_S: Final = 1.5
 STRIP_S: Final = 40.0
@@ -55,12 +55,12 @@ class Drive:
     time_s: Floats
     steering_deg: Floats
     speed_mph: Floats
-    left_road: int = 0  # how often
-    lag_s: float = math.nan  # behind what the road asks for
+    left_road: int = 0  # number of times that the car left the road
+    lag_s: float = math.nan  # of the steering behind the expert's
 
     @property
     def piece(self) -> NDArray[np.int64]:
-        """The number of the stretch without a gap that each row is in."""
+        """The number of each row's stretch without a gap."""
         return np.cumsum(np.diff(self.time_s, prepend=self.time_s[0]) > GAP_S)
 
 
@@ -105,35 +105,35 @@ def main() -> None:
 
 
 def read(path: Path) -> Drive:
-    """The rows of a log in which the car drives."""
+    """The rows of a log with at least `SLOWEST_MPH`."""
     with Log(path) as log:
         vehicle = log.vehicle()
     time_ns, steering, speed = (vehicle[name].to_numpy() for name in ("log_time_ns", "steering", "speed_mph"))
-    drives = speed >= SLOWEST_MPH
-    time_s = (time_ns[drives] - time_ns[0]) / 1e9
-    return Drive(path.stem, time_s, MAX_STEERING_DEG * steering[drives], speed[drives])
+    is_driving = speed >= SLOWEST_MPH
+    time_s = (time_ns[is_driving] - time_ns[0]) / 1e9
+    return Drive(path.stem, time_s, MAX_STEERING_DEG * steering[is_driving], speed[is_driving])
 
 
 class Watched:
-    """A driver, and at each step what the expert would have done in its place."""
+    """A driver that also records the expert's steering for each step."""
 
     def __init__(self, driver: SimulatedDriver, expert: Expert) -> None:
         self._driver, self._expert = driver, expert
         self.steered: list[float] = []
-        self.asked: list[float] = []
+        self.experts: list[float] = []
 
     def control(self, course: Course) -> tuple[float, float]:
         command = self._driver.control(course)
         self.steered.append(command[0])
-        self.asked.append(self._expert.control(course)[0])
+        self.experts.append(self._expert.control(course)[0])
         return command
 
     def lag_s(self) -> float:
-        """How long the steering comes after what was asked for: where the two agree best."""
-        steered, asked = np.array(self.steered), np.array(self.asked)
+        """The lag of the driver's steering behind the expert's: the one with the highest correlation."""
+        steered, experts = np.array(self.steered), np.array(self.experts)
         lags = range(round(LONGEST_LAG_S / STEP_S))
-        agree = [np.corrcoef(steered[lag:], asked[: len(asked) - lag])[0, 1] for lag in lags]
-        return int(np.argmax(agree)) * STEP_S
+        correlations = [np.corrcoef(steered[lag:], experts[: len(experts) - lag])[0, 1] for lag in lags]
+        return int(np.argmax(correlations)) * STEP_S
 
 
 def drive(name: DriverName, where: str, track: Track, mph: float, laps: float, seed: int) -> Drive:
@@ -162,10 +162,11 @@ def step_s(drive: Drive) -> float:
 
 
 def ceiling(drive: Drive) -> float:
-    """The correlation of each row's steering with the mean of its neighbours': what any network may reach."""
-    others = neighbours_mean(drive.steering_deg, drive.time_s, AROUND_S)
-    known = np.isfinite(others)
-    return float(np.corrcoef(drive.steering_deg[known], others[known])[0, 1])
+    """The correlation of each row's steering with the mean of its neighbours: the most that a network can
+    reach."""
+    neighbours = neighbours_mean(drive.steering_deg, drive.time_s, AROUND_S)
+    is_known = np.isfinite(neighbours)
+    return float(np.corrcoef(drive.steering_deg[is_known], neighbours[is_known])[0, 1])
 
 
 def print_head() -> None:
@@ -179,9 +180,9 @@ def print_head() -> None:
 
 
 def print_row(who: str, *drives: Drive) -> None:
-    """The means over drives; the quartiles of all their presses."""
-    presses_of_drives = [presses(each) for each in drives]
-    minutes = sum(len(each.time_s) * step_s(each) for each in drives) / 60
+    """Print a row with the means over drives, and with the quartiles of all their presses."""
+    drive_presses = [presses(drive) for drive in drives]
+    minutes = sum(len(drive.time_s) * step_s(drive) for drive in drives) / 60
 
     def mean(values: Sequence[float]) -> float:
         return float(np.mean(values))
@@ -194,42 +195,40 @@ def print_row(who: str, *drives: Drive) -> None:
     cells = (
         who,
         drives[0].name,
-        f"{mean([1 / step_s(each) for each in drives]):.1f}",
-        f"{mean([each.speed_mph.mean() for each in drives]):.0f}",
-        f"{mean([(each.steering_deg == 0).mean() for each in drives]):.0%}".replace("%", " %"),
-        f"{sum(len(each.length_s) for each in presses_of_drives) / minutes:.0f}",
-        quartiles([each.length_s for each in presses_of_drives], 2),
-        quartiles([each.largest_deg for each in presses_of_drives], 0),
-        quartiles([each.straight_s for each in presses_of_drives], 2),
-        f"{mean([len(np.unique(each.steering_deg)) for each in drives]):.0f}",
-        f"{mean([each.steering_deg.std() for each in drives]):.1f}",
-        f"{mean([(np.abs(each.steering_deg) > 24.9).mean() for each in drives]):.1%}".replace("%", " %"),
-        f"{mean([ceiling(each) for each in drives]):.2f}",
-        "" if is_person else f"{mean([each.lag_s for each in drives]):.2f}",
-        "" if is_person else f"{sum(each.left_road for each in drives)}",
+        f"{mean([1 / step_s(drive) for drive in drives]):.1f}",
+        f"{mean([drive.speed_mph.mean() for drive in drives]):.0f}",
+        f"{mean([(drive.steering_deg == 0).mean() for drive in drives]):.0%}".replace("%", " %"),
+        f"{sum(len(part.length_s) for part in drive_presses) / minutes:.0f}",
+        quartiles([part.length_s for part in drive_presses], 2),
+        quartiles([part.largest_deg for part in drive_presses], 0),
+        quartiles([part.straight_s for part in drive_presses], 2),
+        f"{mean([len(np.unique(drive.steering_deg)) for drive in drives]):.0f}",
+        f"{mean([drive.steering_deg.std() for drive in drives]):.1f}",
+        f"{mean([(np.abs(drive.steering_deg) > 24.9).mean() for drive in drives]):.1%}".replace("%", " %"),
+        f"{mean([ceiling(drive) for drive in drives]):.2f}",
+        "" if is_person else f"{mean([drive.lag_s for drive in drives]):.2f}",
+        "" if is_person else f"{sum(drive.left_road for drive in drives)}",
     )
     print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def draw(pairs: Sequence[tuple[Drive, Drive]], path: Path) -> None:
-    """Strips of steering over time, each person above the driver that is to be alike; histograms under them."""
+    """Draw strips of steering over time, each person above the driver that imitates people; below them
+    histograms."""
     with figure_style():
         figure = new_figure(7.0)
         grid = figure.add_gridspec(5, 4, height_ratios=[1, 1, 1, 1, 1.7])
         colours = (BLUE, ORANGE)
         for pair, (person, driver) in enumerate(pairs):
-            for below, one in enumerate((person, driver)):
+            for below, shown in enumerate((person, driver)):
                 axes = figure.add_subplot(grid[2 * pair + below, :])
-                strip(
-                    axes,
-                    one,
-                    f"{('keyboard', 'mouse')[pair]} driver, {one.name}" if below else f"person, {one.name}",
-                )
+                who = f"{('keyboard', 'mouse')[pair]} driver" if below else "person"
+                strip(axes, shown, f"{who}, {shown.name}")
                 axes.lines[0].set_color(colours[below])
                 if pair == below == 1:
                     axes.set_xlabel("time, s")
-            lengths = [presses(one).length_s for one in (person, driver)]
-            values = [np.abs(one.steering_deg[one.steering_deg != 0]) for one in (person, driver)]
+            lengths = [presses(shown).length_s for shown in (person, driver)]
+            values = [np.abs(shown.steering_deg[shown.steering_deg != 0]) for shown in (person, driver)]
             for column, (what, data, bins) in enumerate(
                 (
                     ("length of a press, s", lengths, np.arange(0.05, 2.06, 0.2)),
@@ -237,11 +236,10 @@ def draw(pairs: Sequence[tuple[Drive, Drive]], path: Path) -> None:
                 )
             ):
                 axes = figure.add_subplot(grid[4, 2 * pair + column])
-                for one_of, colour in zip(data, colours, strict=True):
-                    weights = np.full(len(one_of), 1 / len(one_of))
-                    axes.hist(
-                        np.minimum(one_of, bins[-1]), bins.tolist(), weights=weights, histtype="step", color=colour
-                    )
+                for numbers, colour in zip(data, colours, strict=True):
+                    weights = np.full(len(numbers), 1 / len(numbers))
+                    clipped = np.minimum(numbers, bins[-1])
+                    axes.hist(clipped, bins.tolist(), weights=weights, histtype="step", color=colour)
                 axes.set_xlabel(what)
                 axes.set_title(("keyboard", "mouse")[pair])
                 if pair == column == 0:
@@ -250,7 +248,7 @@ def draw(pairs: Sequence[tuple[Drive, Drive]], path: Path) -> None:
 
 
 def strip(axes: Axes, drive: Drive, title: str) -> None:
-    """Where it steers as much as it does on average: not its liveliest moment, nor its dullest."""
+    """Draw the stretch of the drive whose steering has a spread nearest to that of the whole drive."""
     spread = drive.steering_deg.std()
     rows = round(STRIP_S / step_s(drive))
     begins = np.arange(0, max(1, len(drive.time_s) - rows), 10)

@@ -1,15 +1,15 @@
-"""Speed in the built-in simulator: the expert's at each set speed, and how well a changing target is followed.
+"""Speed in the built-in simulator: the expert's at each set speed, and how well a controller follows a target.
 
 python studies/driving_fast.py [--hairpins 20]
 
-Nothing is rendered: four tables in two or three minutes. The expert steers in all of them.
+Nothing is rendered: four tables take two or three minutes. The expert steers in all of them.
 
-1. The expert's lap at each set speed, and recording it with pushes: rows, how often it was put back on the road.
-2. The speed controller follows what the expert drives 0.5 s after the same place, as `follow` does and as the set
-   speed's controller does when its set speed is changed. Commands act one telemetry late, as in a drive.
-3. The same with a target that is wrong: faster everywhere by so many mph.
-4. What recordings at one set speed and at several tell of the speed 0.5 s later, where the road is clear: on
-   places where 30 mph could be driven. A network can learn its mean at best, for no picture tells the set speed.
+1. The expert's lap at each set speed, and recording it with pushes: rows, and how often the car was put back.
+2. The controller follows the speed that the expert has 0.5 s after the same place: with `follow`, and with the set
+   speed's controller and a changing set speed. Commands take effect one message late, as in a drive.
+3. The same with a wrong target, which is too fast everywhere by some mph.
+4. The speed 0.5 s later in recordings at one and at several set speeds, at places where 30 mph is possible. A
+   network can at best learn its mean, because no picture shows the set speed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from simulator.roads.track import Track, load_track
 
 Floats = NDArray[np.float64]
 Throttle = Callable[[float, float, float], float]
-"""From time in s, speed and target in mph."""
+"""Computes the throttle from time in s, speed and target in mph."""
 
 RATE_S: Final = 0.04
 SPEEDS_MPH: Final = (10.0, 20.0, 30.0)
@@ -45,12 +45,12 @@ class Lap:
     max_mps2: float  # sideways
     mean_mph: float
     interventions: int
-    errors_mph: Floats  # against the expert at the same place
+    errors_mph: Floats  # relative to the expert at the same place
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hairpins", type=int, default=20, help="how many roads hairpins:0, hairpins:1, ...")
+    parser.add_argument("--hairpins", type=int, default=20, help="number of roads hairpins:0, hairpins:1, ...")
     hairpins = [load_track(f"hairpins:{seed}") for seed in range(parser.parse_args().hairpins)]
     roads = {
         "lake": [load_track("lake")],
@@ -123,7 +123,7 @@ def print_labels(roads: dict[str, list[Track]]) -> None:
 
 
 def clear_road_labels(track: Track, mph: float) -> Floats:
-    """The speeds in mph half a second after each row from which on 30 mph could be driven."""
+    """The speeds in mph half a second after each row at which 30 mph is possible."""
     steps = record(track, mph, 0)
     planned_mph = plan_speed(track.line, 30.0 * MPS_PER_MPH) / MPS_PER_MPH
     later = round(TARGET_AHEAD_S / 0.1)
@@ -152,19 +152,19 @@ def following(mph: float) -> Throttle:
 
 
 def drive_lap(track: Track, mph: float, throttle: Throttle | None = None, wrong_mph: float = 0.0) -> Lap:
-    """A lap steered by the expert, at his own speed or at the one that `throttle` gives."""
+    """A lap steered by the expert, at the expert's speed or with the throttle that `throttle` gives."""
     course, expert = Course(track), Expert(track.line, mph)
     times_s, places_m, speeds_mph = experts_speed(track, mph) if throttle is not None else (np.zeros(1),) * 3
     command, errors, max_mps2 = (0.0, 0.0), [], 0.0
     while course.laps < 1.0:
         answer = expert.control(course)
         if throttle is not None:
-            there_s = np.interp(course.progress_m, places_m, times_s)
-            target_mph = float(np.interp(there_s + TARGET_AHEAD_S, times_s, speeds_mph)) + wrong_mph
+            expert_s = np.interp(course.progress_m, places_m, times_s)  # the expert's time at this place
+            target_mph = float(np.interp(expert_s + TARGET_AHEAD_S, times_s, speeds_mph)) + wrong_mph
             speed_mph = course.vehicle.speed_mph
             answer = answer[0], throttle(course.time_s, speed_mph, target_mph)
             if course.time_s > SETTLED_S:
-                errors.append(speed_mph - float(np.interp(there_s, times_s, speeds_mph)))
+                errors.append(speed_mph - float(np.interp(expert_s, times_s, speeds_mph)))
         course.advance(*command, RATE_S)
         command = answer
         max_mps2 = max(max_mps2, abs(course.vehicle.lateral_mps2))
@@ -175,7 +175,7 @@ def drive_lap(track: Track, mph: float, throttle: Throttle | None = None, wrong_
 
 
 def experts_speed(track: Track, mph: float) -> tuple[Floats, Floats, Floats]:
-    """Time in s, progress in m and speed in mph along a lap."""
+    """The expert's time in s, progress in m and speed in mph along a lap."""
     course, expert, rows = Course(track), Expert(track.line, mph), []
     while course.laps < 1.05:
         rows.append((course.time_s, course.progress_m, course.vehicle.speed_mph))
@@ -185,12 +185,12 @@ def experts_speed(track: Track, mph: float) -> tuple[Floats, Floats, Floats]:
 
 
 def record(track: Track, mph: float, seed: int) -> list[DriveStep]:
-    """As `bc-record` does."""
+    """Record a lap with the expert as `bc-record` does, but without pictures."""
     return list(drive_for_recording(Course(track), Expert(track.line, mph, 0.03, seed), 1.0, seed=seed))
 
 
 def sideways_mps2(steps: Sequence[DriveStep]) -> Floats:
-    """Speed times the change of heading, but across gaps."""
+    """Lateral acceleration: speed times the rate of the heading, without steps across gaps."""
     heading = np.unwrap([step.pose.heading_rad for step in steps])
     passed_s = np.diff([step.time_s for step in steps])
     speed_mps = MPS_PER_MPH * np.array([step.speed_mph for step in steps[1:]])

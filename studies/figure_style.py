@@ -1,4 +1,4 @@
-"""The style of the studies' figures. Matplotlib is imported only where a figure is drawn."""
+"""The style of the studies' figures. Matplotlib is imported only when a figure is drawn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI: Final = 200
-# Okabe and Ito (2008): told apart by colour-blind people, and in grey
+# Okabe and Ito (2008): distinguishable for colour-blind people, and in grey
 BLUE, ORANGE = "#0072B2", "#E69F00"
 
 _STYLE: Final[Any] = {
@@ -28,7 +28,8 @@ _STYLE: Final[Any] = {
 
 @contextlib.contextmanager
 def figure_style() -> Iterator[None]:
-    """The style for what is drawn and saved within; somebody's own matplotlibrc does not change the bytes."""
+    """Use the style for figures that are drawn and saved in the block. A user's matplotlibrc does not change
+    them."""
     import matplotlib
 
     with matplotlib.rc_context():

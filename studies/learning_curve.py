@@ -1,11 +1,11 @@
-"""How many pictures a network needs: closed-loop autonomy and offline error after training on more and more.
+"""How many pictures does a network need? Closed-loop autonomy and offline error for growing numbers of pictures.
 
 python studies/learning_curve.py FOLDER [--pictures 1000 2000 4000 8000] [--epochs 10] [--seed 0]
     [--figure curve.png]
 
 Records a lap of both built-in tracks in FOLDER, trains on the beginning of both, and lets every network drive a
-full lap of both. All are measured offline on the same frames: the end of both laps, which none has seen. FOLDER is
-kept: what it has already is not made again.
+full lap of both. All networks are measured offline on the same frames: the end of both laps, which no network has
+seen. Existing results in FOLDER are not computed again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from figure_style import BLUE, ORANGE, figure_style, new_figure
 
 TRACKS: Final = ("lake", "mountain")
 CAMERAS: Final = 3
-UNSEEN: Final = 0.7  # of the lap: what comes after it, none is trained on
+UNSEEN: Final = 0.7  # share of the lap after which no network is trained
 
 
 def main() -> None:
@@ -45,25 +45,25 @@ def main() -> None:
 
 
 def measured(folder: Path, rows: dict[str, int], pictures: int, epochs: int, seed: int) -> dict[str, Any]:
-    """Train on about so many pictures, drive, measure."""
+    """Train on about `pictures` pictures, drive and measure. Returns the results."""
     name = f"{pictures}-{epochs}-{seed}"
     kept = folder / "results" / f"{name}.json"
     if kept.exists():
         return dict(json.loads(kept.read_text()))
-    taken = round(pictures / CAMERAS / len(TRACKS))
+    track_rows = round(pictures / CAMERAS / len(TRACKS))
     for track in TRACKS:
-        if taken > UNSEEN * rows[track]:
+        if track_rows > UNSEEN * rows[track]:
             sys.exit(f"{pictures} pictures are more than {UNSEEN:.0%} of a lap of {track}")
-        trim(folder, track, str(pictures), 0, taken - 1)
+        trim(folder, track, str(pictures), 0, track_rows - 1)
     if not (folder / "runs" / name / "model.safetensors").exists():
         index, recipe = ("--index", f"index-{pictures}"), ("--recipe", "original")
         bc(folder, "index", *(f"{track}-{pictures}" for track in TRACKS), *index, *recipe)
         bc(folder, "train", *index, *recipe, "--name", name, "--epochs", epochs, "--seed", seed)
-    [offline] = told(bc(folder, "eval", name, "--session", *(f"{track}-unseen" for track in TRACKS), "--json"))
+    [offline] = parsed(bc(folder, "eval", name, "--session", *(f"{track}-unseen" for track in TRACKS), "--json"))
     point = {
-        "pictures": CAMERAS * taken * len(TRACKS),
-        "shares": [taken / rows[track] for track in TRACKS],
-        "driven": told(bc(folder, "eval", name, "--simulator", *TRACKS, "--json", "--force")),
+        "pictures": CAMERAS * track_rows * len(TRACKS),
+        "shares": [track_rows / rows[track] for track in TRACKS],
+        "driven": parsed(bc(folder, "eval", name, "--simulator", *TRACKS, "--json", "--force")),
         "offline": {name: offline[name] for name in ("network", "mean", "balanced_rmse_deg") if name in offline},
     }
     kept.parent.mkdir(exist_ok=True)
@@ -75,11 +75,12 @@ def print_table(points: Sequence[dict[str, Any]]) -> None:
     of_tracks = " | ".join(f"{track}: interventions | autonomy | largest distance" for track in TRACKS)
     print(f"| pictures | of a lap | {of_tracks} | RMSE | MAE on turns | correlation |")
     print("|" + "---|" * (5 + 3 * len(TRACKS)))
-    for each in points:
-        network = each["offline"]["network"]
-        cells = [f"{each['pictures']:,}", " and ".join(f"{share:.0%}" for share in each["shares"])]
-        for book in each["driven"]:
-            cells += [str(book["interventions"]), f"{book['autonomy_percent']:.1f} %", f"{book['max_offset']:.2f}"]
+    for point in points:
+        network = point["offline"]["network"]
+        cells = [f"{point['pictures']:,}", " and ".join(f"{share:.0%}" for share in point["shares"])]
+        for drive in point["driven"]:
+            cells += [str(drive["interventions"]), f"{drive['autonomy_percent']:.1f} %"]
+            cells.append(f"{drive['max_offset']:.2f}")
         cells += [f"{network[name]:.2f}" for name in ("rmse_deg", "turning_mae_deg", "correlation")]
         print(f"| {' | '.join(cells)} |")
     print(f"\nAlways the mean: RMSE {points[0]['offline']['mean']['rmse_deg']:.2f} deg.")
@@ -89,13 +90,13 @@ def draw(points: Sequence[dict[str, Any]], path: Path) -> None:
     with figure_style():
         figure = new_figure(2.6)
         autonomy, error = figure.subplots(1, 2)
-        pictures = [each["pictures"] for each in points]
+        pictures = [point["pictures"] for point in points]
         for number, (track, color) in enumerate(zip(TRACKS, (BLUE, ORANGE), strict=True)):
-            values = [each["driven"][number]["autonomy_percent"] for each in points]
+            values = [point["driven"][number]["autonomy_percent"] for point in points]
             autonomy.plot(pictures, values, marker="o", color=color, label=track)
         autonomy.set(ylabel="autonomy of a full lap [%]", ylim=(0, 105))
         autonomy.legend()
-        error.plot(pictures, [each["offline"]["network"]["rmse_deg"] for each in points], marker="o", color=BLUE)
+        error.plot(pictures, [point["offline"]["network"]["rmse_deg"] for point in points], marker="o", color=BLUE)
         error.axhline(
             points[0]["offline"]["mean"]["rmse_deg"], color="0.5", linestyle="--", label="always the mean"
         )
@@ -110,11 +111,11 @@ def draw(points: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def record(folder: Path, track: str) -> int:
-    """Record a lap, if there is none yet; its rows."""
+    """Record a lap, if it does not exist. Returns its number of rows."""
     log = folder / "laps" / f"{track}.mcap"
     if not log.exists():
         bc(folder, "record", track, "--track", track, "--laps", 1, "--sessions", "laps")
-    [info] = told(bc(folder, "log", "info", f"laps/{track}.mcap", "--json"))
+    [info] = parsed(bc(folder, "log", "info", f"laps/{track}.mcap", "--json"))
     return next(int(topic["messages"]) for topic in info["topics"] if topic["topic"] == "/vehicle")
 
 
@@ -125,7 +126,7 @@ def trim(folder: Path, track: str, name: str, first: int, last: int) -> None:
         bc(folder, "log", "trim", f"laps/{track}.mcap", "--rows", first, last, "--to", part)
 
 
-def told(output: str) -> list[dict[str, Any]]:
+def parsed(output: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in output.splitlines()]
 
 
@@ -139,7 +140,7 @@ MODULES: Final = {
 
 
 def bc(folder: Path, name: str, *arguments: object) -> str:
-    """Run a `bc-` command in the folder; what it prints."""
+    """Run a `bc-` command in the folder. Returns its output."""
     code = f"from {MODULES[name]} import main; main()"
     words = [str(argument) for argument in arguments]
     print(f"bc-{name} {' '.join(words)}", file=sys.stderr, flush=True)

@@ -1,15 +1,16 @@
-"""What learns from people: recipes on recordings of people, on road and in recordings that no network has seen.
+"""Which recipe learns best from people? Recipes on recordings of people, measured on unseen blocks and recordings.
 
 python studies/learning_from_people.py FOLDER sessions/lake.mcap sessions/jungle.mcap ...
     [--across lake:other_lake ...] [--recipes original people ...] [--seeds 0 1 2] [--epochs 6]
     [--other-blocks] [--validation-share 0.2]
 
-For each recipe and seed: a network of all the logs' training blocks, measured on the blocks held out of each; and
-for each pair of --across, a network of the first session alone, measured on all of the second, and the other way
-round. Errors are shares of those of always predicting the mean of the very frames; with several seeds, their mean
-(least to most). "Best by a scale" is the least RMSE that any scale and offset of the same answers would have had,
-sqrt(1 - correlation^2). --other-blocks holds out other blocks for each seed, so that chance in what is held out
-averages out, too; --validation-share says how much. FOLDER is kept: what it has already is not made again.
+For each recipe and seed, a network is trained on the training blocks of all logs and measured on the blocks held
+out. For each pair of --across, a network is trained on the first session and measured on the whole second session,
+and the other way round. Errors are divided by those of always predicting the mean of the same frames; with several
+seeds, the table shows their mean (minimum to maximum). "Best by a scale" is the smallest RMSE that any scale and
+offset of the same answers could have, sqrt(1 - correlation^2). --other-blocks holds out other blocks for each
+seed, so that the chance of the split averages out, too; --validation-share sets their share. Existing results in
+FOLDER are not computed again.
 """
 
 from __future__ import annotations
@@ -76,12 +77,12 @@ def main() -> None:
     parser.add_argument("--validation-share", type=float, default=IndexConfig().validation_share)
     arguments = parser.parse_args()
     logs: dict[str, Path] = {log.stem: log.resolve() for log in arguments.logs}
-    pairs = [(here, there) for here, _, there in (pair.partition(":") for pair in arguments.across)]
+    pairs = [(first, second) for first, _, second in (pair.partition(":") for pair in arguments.across)]
     if any(name not in logs for pair in pairs for name in pair):
-        parser.error(f"--across: two of the logs' names, such as {':'.join(list(logs)[:2])}")
+        parser.error(f"--across: two names of logs were expected, for example {':'.join(list(logs)[:2])}")
     parts: list[Part] = [Part("held-out blocks of ", tuple(logs.values()))]
-    for here, there in [*pairs, *((there, here) for here, there in pairs)]:
-        parts.append(Part(f"{here} -> ", (logs[here],), (logs[there],)))
+    for learnt, unseen in [*pairs, *((second, first) for first, second in pairs)]:
+        parts.append(Part(f"{learnt} -> ", (logs[learnt],), (logs[unseen],)))
     results: dict[str, dict[str, list[dict[str, float]]]] = {}
     for seed in arguments.seeds:
         for part in parts:
@@ -96,7 +97,7 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """What is learnt, and what it is measured on: other logs, or else the blocks that are held out."""
+    """The logs of a training, and of the measurement: the logs `unseen` or, without any, the blocks held out."""
 
     heading: str
     learnt: tuple[Path, ...]
@@ -106,21 +107,21 @@ class Part:
 
 
 def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> dict[str, dict[str, float]]:
-    """Train, and measure; by session."""
+    """Train and measure. Returns the measures by session."""
     learnt, unseen = part.learnt, part.unseen
-    of_index, of_training = RECIPES[recipe]
+    index_config, train_config = RECIPES[recipe]
     other = part.block_seed or part.validation_share != IndexConfig().validation_share
     blocks = [f"blocks{part.block_seed}", f"{part.validation_share:g}"] if other else []
     name = "-".join([slug(recipe), *sorted(log.stem for log in learnt), *blocks])
     result = folder / "results" / f"{name}-{epochs}-{seed}.json"
     if not result.exists():
-        # where others are unseen nothing is needed to choose an epoch, but something has to be held out
+        # with unseen logs, the held-out frames are not needed to choose an epoch, but an index must hold out some
         share = 0.1 if unseen else part.validation_share
-        of_index = replace(of_index, validation_share=share, seed=part.block_seed)
-        index = build_index(list(learnt), folder / f"index-{name}", of_index).path
+        index_config = replace(index_config, validation_share=share, seed=part.block_seed)
+        index = build_index(list(learnt), folder / f"index-{name}", index_config).path
         run = folder / "runs" / f"{name}-{epochs}-{seed}"
         print(run.name, file=sys.stderr, flush=True)
-        config = replace(of_training, epochs=epochs, seed=seed)
+        config = replace(train_config, epochs=epochs, seed=seed)
         train(index, run, config, resume=run.exists())
         evaluation = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
         values = {session: values_of(measured) for session, measured in evaluation.sessions.items()}
@@ -138,12 +139,12 @@ def values_of(measures: Measures) -> dict[str, float]:
 def print_table(results: Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]) -> None:
     print(f"\n| measured on | recipe | {' | '.join(MEASURED)} |")
     print("|" + "---|" * (2 + len(MEASURED)))
-    recipes = list(dict.fromkeys(recipe for of_recipes in results.values() for recipe in of_recipes))
-    for session, of_recipes in results.items():
-        for recipe, seeds in of_recipes.items():
+    recipes = list(dict.fromkeys(recipe for by_recipe in results.values() for recipe in by_recipe))
+    for session, by_recipe in results.items():
+        for recipe, seeds in by_recipe.items():
             print(f"| {session} | {recipe} | {' | '.join(cells(seeds))} |")
     for recipe in recipes:
-        seeds = [seed for of_recipes in results.values() for seed in of_recipes.get(recipe, ())]
+        seeds = [seed for by_recipe in results.values() for seed in by_recipe.get(recipe, ())]
         means = {name: [mean(seed[name] for seed in seeds)] for name in MEASURED}
         print(f"| all | {recipe} | {' | '.join(f'{value[0]:.2f}' for value in means.values())} |")
     sys.stdout.flush()

@@ -4,9 +4,9 @@ python studies/networks.py FOLDER [--networks original small] [--sessions lake.m
     [--seeds 0] [--drive lake mountain random:1 random:2 random:3] [--speed 10] [--what speed train drive]
     [--rounds 5]
 
-FOLDER is kept: what it has already is not made again, so that it may be stopped at any moment. Without --sessions
-the built-in expert records half a lap of each track there. Times are processor time of one thread, the least of
-several rounds that the networks take in turn: on a busy machine they are what they are on an idle one.
+Existing results in FOLDER are not computed again, so the study can be stopped at any moment. Without --sessions,
+the built-in expert records half a lap of each track in FOLDER. Times are processor time of one thread, the minimum
+of several rounds in which the networks take turns: a busy machine gives the same times as an idle one.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def main() -> None:
 
 
 def speeds(path: Path, networks: list[str], rounds: int) -> dict[str, dict[str, Any]]:
-    """Of each network its size and speed, measured now or before."""
+    """The size and speed of each network, measured now or in an earlier call."""
     results: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
     torch.set_num_threads(1)
     contenders = {name: Contender(name) for name in networks if name not in results}
@@ -87,7 +87,7 @@ def speeds(path: Path, networks: list[str], rounds: int) -> dict[str, dict[str, 
 
 
 class Contender:
-    """A network that is trained and asked in turns with the others."""
+    """A network that trains and predicts in turns with the others."""
 
     def __init__(self, name: str) -> None:
         config = TrainConfig(network=name, threads=1, device="cpu")
@@ -108,16 +108,16 @@ class Contender:
 
         self._step = step
         precisions: tuple[Precision, ...] = ("auto", "float32")
-        self._pilots = {each: self._pilot(each) for each in precisions}
+        self._pilots = {precision: self._pilot(precision) for precision in precisions}
         self._crop = np.random.default_rng(0).integers(0, 256, self.picture.shape, np.uint8)
         self._step_s: list[float] = []
-        self._predict_s: dict[str, list[float]] = {each: [] for each in precisions}
+        self._predict_s: dict[str, list[float]] = {precision: [] for precision in precisions}
 
     def take_turn(self) -> None:
         self._step_s.append(processor_s(self._step))
         for name, pilot in self._pilots.items():
-            each_s = [processor_s(lambda: pilot.predict(self._crop)) for _ in range(PREDICTIONS)]  # noqa: B023
-            self._predict_s[name].append(statistics.median(each_s))
+            times_s = [processor_s(lambda: pilot.predict(self._crop)) for _ in range(PREDICTIONS)]  # noqa: B023
+            self._predict_s[name].append(statistics.median(times_s))
 
     def result(self) -> dict[str, Any]:
         return {
@@ -143,10 +143,10 @@ def processor_s(action: Callable[[], object]) -> float:
 def print_speed(results: dict[str, dict[str, Any]]) -> None:
     print("| network | it sees | parameters | weights | samples a second | ms a picture | in float32 |")
     print("|---|---|---|---|---|---|---|")
-    for name, each in results.items():
+    for name, result in results.items():
         print(
-            f"| `{name}` | {each['picture']} | {each['parameters']:,} | {each['mb']:.1f} MB"
-            f" | {each['samples_per_cpu_s']:,.0f} | {each['ms']['auto']:.2f} | {each['ms']['float32']:.2f} |"
+            f"| `{name}` | {result['picture']} | {result['parameters']:,} | {result['mb']:.1f} MB"
+            f" | {result['samples_per_cpu_s']:,.0f} | {result['ms']['auto']:.2f} | {result['ms']['float32']:.2f} |"
         )
 
 
@@ -184,21 +184,21 @@ def print_drives(folder: Path, arguments: argparse.Namespace) -> None:
             rmse_deg = math.nan if best is None else best.measures.network.rmse_deg
             drives = [driven(run, track, arguments.speed) for track in arguments.drive]
             cells = [
-                f"{each['autonomy_percent']:.0f} %, {each['interventions']}, {each['mean_offset']:.2f}"
-                for each in drives
+                f"{drive['autonomy_percent']:.0f} %, {drive['interventions']}, {drive['mean_offset']:.2f}"
+                for drive in drives
             ]
             print(f"| `{network}` | {seed} | {rmse_deg:.2f} deg | {' | '.join(cells)} |", flush=True)
-    print("\nEach: autonomy, interventions, mean distance from the centre line as a share of the half width.")
+    print("\nCells: autonomy, interventions, mean distance from the centre line as a share of the half width.")
 
 
 def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
-    """What `bc-eval` says of a lap, now or before."""
+    """The result of `bc-eval` for a lap, from now or from an earlier call."""
     kept = run / f"drive-{track.replace(':', '-')}-{mph:g}.json"
     if not kept.exists():
         logs = ("--drives", str(run / "drives"), "--force")
-        said = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
+        output = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
         with atomic_file(kept, overwrite=True) as part:
-            part.write_text(said)
+            part.write_text(output)
     results: dict[str, Any] = json.loads(kept.read_text())
     return results
 

@@ -1,12 +1,12 @@
-"""Does `recorder.rows.odd_stretches` find what is wrong with a drive, and nothing else?
+"""Does `recorder.rows.odd_stretches` find the faults of a drive, and nothing else?
 
 python studies/odd_stretches.py
 python studies/odd_stretches.py --logs sessions/*.mcap
 
-Drives the built-in simulator, without pictures, on four tracks at 10 and at 30 mph: as its expert and its keyboard
-driver do, and with a fault after every half minute. The speed has no sign, as in a recording of Udacity's. A fault
-is found where a stretch of its kind covers half of its rows; rows more than four seconds from one are false.
-With --logs, what is found in recordings.
+Drives the built-in simulator, without pictures, on four tracks at 10 and at 30 mph: with the expert and the
+keyboard driver, and with a fault after every half minute. The speed has no sign, as in recordings of Udacity's
+simulator. A fault is found if a stretch of its kind covers half of its rows. Rows of stretches are false if they
+are more than four seconds from a fault. With --logs, it prints the odd stretches of recordings.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Drive:
             self.row(*self.driver.control(self.course))
 
     def holds(self, seconds: float, throttle: float, steering: float | None = None) -> None:
-        """Hold a pedal, and the steering, or steer as the driver does."""
+        """Hold a pedal, and the steering; without `steering`, steer as the driver does."""
         for _ in range(round(seconds * RATE_HZ)):
             self.row(self.driver.control(self.course)[0] if steering is None else steering, throttle)
 
@@ -117,7 +117,7 @@ def stuck_steering(drive: Drive) -> None:
 
 
 def off_road(drive: Drive) -> None:
-    """Beside the road, and back onto it."""
+    """Put the car next to the road, and let the driver return."""
     drive.course.displace(1.5 * drive.course.half_width_m, 0.0, 0.0)
     for _ in range(10 * RATE_HZ):
         if not drive.course.off_road:
@@ -126,7 +126,7 @@ def off_road(drive: Drive) -> None:
 
 
 FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
-    each.__name__: each for each in (backwards, crash, parked, coasting, creeping, stuck_steering, off_road)
+    fault.__name__: fault for fault in (backwards, crash, parked, coasting, creeping, stuck_steering, off_road)
 }
 
 
@@ -138,7 +138,7 @@ def states_of(rows: Sequence[tuple[float, ...]]) -> States:
 def drive_with(
     course: Course, driver: SimulatedDriver, fault: Callable[[Drive], None]
 ) -> tuple[States, list[tuple[int, int]]]:
-    """The rows of a drive, and the first and last of each of its faults."""
+    """The rows of a drive, and the first and the last row of each fault."""
     course.start()
     drive = Drive(course, driver, [])
     places = []
@@ -147,19 +147,22 @@ def drive_with(
         first = len(drive.rows)
         fault(drive)
         places.append((first, len(drive.rows) - 1))
-        course.displace(0.0, 0.0, 2.0)  # somebody puts it back on the road, unrecorded
+        course.displace(0.0, 0.0, 2.0)  # put the car back on the road, without a row
     drive.drives(DRIVEN_S)
     return states_of(drive.rows), places
 
 
 def measure(stretches: list[OddStretch], kind: str, places: list[tuple[int, int]]) -> tuple[int, int]:
-    """How many of the faults were found, and the rows that are none and were."""
-    covered = {row for each in stretches if each.kind == kind for row in range(each.first_row, each.last_row + 1)}
+    """The number of faults that were found, and the number of false rows."""
+    rows_of_kind = rows_of([stretch for stretch in stretches if stretch.kind == kind])
     near = round(NEAR_S * RATE_HZ)
     allowed = {row for first, last in places for row in range(first - near, last + near + 1)}
-    held = sum(2 * len(covered & {*range(a, b + 1)}) >= b + 1 - a for a, b in places)
-    rows = {row for each in stretches for row in range(each.first_row, each.last_row + 1)}
-    return held, len(rows - allowed)
+    detected = sum(2 * len(rows_of_kind & {*range(a, b + 1)}) >= b + 1 - a for a, b in places)
+    return detected, len(rows_of(stretches) - allowed)
+
+
+def rows_of(stretches: Sequence[OddStretch]) -> set[int]:
+    return {row for stretch in stretches for row in range(stretch.first_row, stretch.last_row + 1)}
 
 
 def main() -> None:
@@ -185,11 +188,11 @@ def main() -> None:
                 steps = list(drive_for_recording(course, driver, 1.0, RATE_HZ, 0.35, 0))
                 states = states_of(
                     [
-                        (each.time_s, each.steering, each.throttle, each.brake, abs(each.speed_mph))
-                        for each in steps
+                        (step.time_s, step.steering, step.throttle, step.brake, abs(step.speed_mph))
+                        for step in steps
                     ]
                 )
-                poses = np.array([(each.pose.x_m, each.pose.y_m, each.pose.heading_rad) for each in steps])
+                poses = np.array([(step.pose.x_m, step.pose.y_m, step.pose.heading_rad) for step in steps])
                 states = replace(states, beyond_m=beyond_edge_m(track_name, "", *poses.T))
                 count = results.setdefault(f"{name}, a lap with recoveries", Counter())
                 stretches = odd_stretches(states)
@@ -197,9 +200,9 @@ def main() -> None:
             for kind, fault in FAULTS.items():
                 driver = make_driver("expert", track.line, mph, 0.03, 0)
                 states, places = drive_with(course, driver, fault)
-                held, false = measure(odd_stretches(states), kind, places)
+                detected, false = measure(odd_stretches(states), kind, places)
                 count = results.setdefault(kind, Counter())
-                count.update(rows=len(states.row), faults=len(places), found=held, false=false)
+                count.update(rows=len(states.row), faults=len(places), found=detected, false=false)
     for kind, count in results.items():
         missed = count["faults"] - count["found"]
         print(

@@ -2,15 +2,16 @@
 
 python studies/players.py FOLDER [--only "devices *"] [--kinds record train eval] [--list]
 
-Devices: half a lap of the lake and of the mountain, by keys, mouse and gamepad; a network of each pair; full laps
-of both tracks and of three unseen roads. Supervision: a beginner, from a fifth of a lap of the mountain; two
-rounds in which a player supervises it, on a road each that it is not measured on, each followed by `bc-train
---init RUN --takeovers LOG`; and beside it a network of its recording and of as many minutes of recording
-on these roads. All train as the page's button does.
+Devices: players record half a lap of the lake and of the mountain by keys, mouse and gamepad. A network of each
+pair of recordings drives full laps of both tracks and of three unseen roads. Supervision: a beginner is trained on
+a fifth of a lap of the mountain. In two rounds, a player supervises it, each on a road on which it is not
+measured; each round is followed by `bc-train --init RUN --takeovers LOG`. For comparison, another network is
+trained on the beginner's recording and on as many minutes of recording on these roads. All train as the page's
+button does.
 
-The players know what the page shows and nothing else (scripted_player.py). FOLDER is kept: each step leaves a file
-in FOLDER/results and is not made again, so that the program can be ended and started at any time. Steps in
-studies/players.json were made on another machine.
+The players know only what the page shows (scripted_player.py). Each step leaves a file in FOLDER/results and is
+not repeated, so the program can be stopped and started at any time. The steps in studies/players.json were made on
+another machine.
 """
 
 from __future__ import annotations
@@ -39,10 +40,11 @@ RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
 BEGINNERS: Final = "mountain"
 SUPERVISED: Final = ("random:6", "random:7")
-"""A road a round. The first beginner saw a fifth of the mountain, and never erred there."""
+"""One road for each round. The mountain is not used: the first beginner learnt a fifth of it, and never erred on
+it."""
 BEGINNERS_DRIVEN: Final = ("mountain", *(f"random:{seed}" for seed in range(1, 6)))
 KINDS: Final = {"record": 150.0, "supervise": 330.0, "train": 180.0, "eval": 60.0}
-"""With the seconds that a step takes where none has been made."""
+"""Kinds of steps, with the estimated seconds of a step before one has been made."""
 MPH: Final = 10.0
 MINUTES: Final = 5.0
 MADE: Final = Path(__file__).with_suffix(".json")
@@ -52,7 +54,7 @@ Result = dict[str, Any]
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do, once; `needs` are the steps before it."""
+    """A step that is made once. `needs` are the steps that must come before it."""
 
     name: str
     kind: str
@@ -161,7 +163,7 @@ class Study:
     def _record(
         self, session: str, track: str, device: Device, seed: int, *, laps: float | None = None, seconds: float = 0
     ) -> Result:
-        """Drive `laps`, or for so long by this computer's clock."""
+        """Drive `laps` laps, or without them `seconds` seconds by this computer's clock."""
         length = ["--laps", f"{laps:g}"] if laps else []
         words = (session, "--driver", "me", "--no-page", "--force", "--track", track, *length)
         with (
@@ -189,9 +191,9 @@ class Study:
         }
 
     def _more(self, session: str, road: str, supervised: str, device: Device, seed: int) -> Result:
-        """As many minutes of recording as a supervised drive had."""
+        """Record for the same time as a supervised drive took."""
         result = self.result(supervised)
-        assert result is not None  # noqa: S101  # it was needed
+        assert result is not None  # noqa: S101  # `needs` of this step
         return self._record(session, road, device, seed, seconds=result["drive_s"])
 
     def _supervise(self, run: str, road: str, log: str, device: Device, seed: int) -> Result:
@@ -233,10 +235,10 @@ class Study:
         return {"epochs": epochs, "printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
-        """Put aside what a killed training has left."""
-        for left in (self.folder / "runs" / run, self.folder / f"index-{run}"):
-            if left.exists():
-                left.rename(left.with_name(f"{left.name}.left-{time.time_ns()}"))
+        """Move away the run and the index of a killed training."""
+        for leftover in (self.folder / "runs" / run, self.folder / f"index-{run}"):
+            if leftover.exists():
+                leftover.rename(leftover.with_name(f"{leftover.name}.left-{time.time_ns()}"))
 
     def _eval(self, run: str, track: str) -> Result:
         words = ("--simulator", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
@@ -244,7 +246,7 @@ class Study:
 
 
 def make(study: Study, steps: list[Step]) -> int:
-    """Make the steps that are not made yet; how many have failed or wait for others."""
+    """Make the missing steps. Returns the number of steps that failed or wait for others."""
     missing = [step for step in steps if study.result(step.name) is None]
     undone = 0
     for number, step in enumerate(missing):
@@ -257,7 +259,7 @@ def make(study: Study, steps: list[Step]) -> int:
         begin_s = time.monotonic()
         try:
             result = step.act()
-        except Exception as error:  # the others can be made
+        except Exception as error:  # other steps may succeed
             print(f"{step.name}: {type(error).__name__}: {error}", file=sys.stderr)
             undone += 1
             continue
@@ -266,7 +268,7 @@ def make(study: Study, steps: list[Step]) -> int:
 
 
 def seconds_of(study: Study, kind: str) -> float:
-    """What a step of a kind takes, by those that were made."""
+    """The mean seconds of the steps of a kind that were made, else an estimate."""
     took = [
         result["took_s"]
         for path in (study.folder / "results").glob("*.json")
@@ -288,7 +290,7 @@ def print_tables(study: Study) -> None:
             name = f"devices {device}-{seed}"
             recorded = [study.result(f"{name} record {track}") for track in RECORDED]
             rows, put_back = (
-                total([None if each is None else int(each[what]) for each in recorded])
+                total([None if result is None else int(result[what]) for result in recorded])
                 for what in ("rows", "put back")
             )
             print_row(device, seed, rows, put_back, *interventions(study, name, DRIVEN))
@@ -297,19 +299,19 @@ def print_tables(study: Study) -> None:
     for seed in asked.seeds:
         start = supervision(asked, seed)
         rounds = [study.result(f"{start} supervise {turn}") for turn in (1, 2)]
-        taken = " + ".join("-" if each is None else str(each["takeovers"]) for each in rounds)
+        taken = " + ".join("-" if result is None else str(result["takeovers"]) for result in rounds)
         for what, takeovers in (("before", ""), ("after", taken), ("more", "")):
             numbers = interventions(study, f"{start} {what}", BEGINNERS_DRIVEN)
             print_row(seed, what, takeovers, *numbers, total(numbers))
 
 
 def supervision(asked: argparse.Namespace, seed: int) -> str:
-    """What the second study's steps are called, by the length of its rounds."""
+    """The prefix of the names of the second study's steps, with the length of its rounds."""
     return f"supervision {seed}" if asked.minutes == MINUTES else f"supervision of {asked.minutes:g} min {seed}"
 
 
 def total(numbers: list[int | None]) -> int | None:
-    return None if None in numbers else sum(each or 0 for each in numbers)
+    return None if None in numbers else sum(number or 0 for number in numbers)
 
 
 def print_row(*cells: object) -> None:
@@ -319,14 +321,14 @@ def print_row(*cells: object) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="steps, by name")
+    parser.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="only steps with these names")
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
-    parser.add_argument("--list", action="store_true", help="show the steps, and make none")
+    parser.add_argument("--list", action="store_true", help="only list the steps")
     parser.add_argument("--devices", nargs="+", default=list(DEVICES), choices=DEVICES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--supervisor", default="gamepad", choices=DEVICES, help="device of the second study")
-    parser.add_argument("--laps", type=float, default=0.5, help="to record; the beginner has 0.4 times as much")
-    parser.add_argument("--minutes", type=float, default=MINUTES, help="of a round of supervision")
+    parser.add_argument("--laps", type=float, default=0.5, help="laps to record; the beginner records 0.4 of this")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="length of a round of supervision")
     parser.add_argument("--eval-laps", type=float, default=1.0)
     asked = parser.parse_args()
     folder: Path = asked.folder.absolute()

@@ -1,8 +1,9 @@
-"""A player of the page of a drive: sees what the page shows, reacts as late as people do, has real hands on it.
+"""A player of the page of a drive: it sees only what the page shows, has a person's reaction time, and sends real
+input events.
 
-Keys and mouse are those of the drivers like people (docs/studies/drivers.md), whose road is the page's map. A
-gamepad's stick follows what is wanted 0.2 s late, as a hand does. Players live by the drive's clock: where a
-computer drives in slow motion, they are as much slower.
+Keys and mouse are operated by the simulated keyboard and mouse drivers (docs/studies/drivers.md), with the page's
+map as their road. A gamepad's stick follows the wanted steering 0.2 s late, as a hand does. Players use the
+drive's clock: if a computer drives in slow motion, the players are slower, too.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ LOOKS_HZ: Final = 40.0
 NOISE: Final = 0.03
 _STICK_LOOK_AHEAD_S: Final = 0.9
 _HAND_S: Final = 0.1  # the time constant of a thumb
-_DEAD_ZONE, _CURVE = 0.1, 1.5  # that the page offers first: a player has learnt how the stick answers
-_TURN_S: Final = 0.15  # over which a player judges how the car turns
-_HANDS_OFF_S: Final = 10.0  # of the drivers' clock
+_DEAD_ZONE, _CURVE = 0.1, 1.5  # the page's defaults: a player knows how the stick responds
+_TURN_S: Final = 0.15  # the time over which a player estimates the car's yaw rate
+_HANDS_OFF_S: Final = 10.0  # step of the drivers' clock after the car was put back
 
 
 @dataclass
 class Sight:
-    """The car on the map, in the form in which the built-in drivers see a course."""
+    """The car on the map, with the attributes of a `Course` that the built-in drivers read."""
 
     line: Centreline
     vehicle: CarState
@@ -52,17 +53,17 @@ class Sight:
 
     @property
     def aside(self) -> float:
-        """How far the car is from the middle, as a share of half the road's width."""
+        """The car's distance from the middle, as a share of half the road's width."""
         return abs(self.offset_m) / self.half_width_m
 
     @property
     def turned_rad(self) -> float:
-        """How far the car is turned from the road, to the left."""
+        """The car's heading relative to the road, positive to the left."""
         angle = self.vehicle.heading_rad - self.line.at(self.arc_m).heading_rad
         return (angle + math.pi) % (2 * math.pi) - math.pi
 
     def aside_in(self, seconds: float) -> float:
-        """How far aside it will be if it goes on as it does, on the road as it bends."""
+        """`aside` after some seconds, if the car keeps its speed and its yaw rate."""
         car = self.vehicle
         heading, speed = car.heading_rad + car.yaw_rate_radps * seconds / 2, car.speed_mps
         x = car.x_m + speed * seconds * math.cos(heading)
@@ -72,12 +73,12 @@ class Sight:
 
     @property
     def course(self) -> Course:
-        """What the built-in drivers read of a course is all here."""
+        """This sight as a `Course`: it has everything that the built-in drivers read."""
         return cast(Course, self)
 
 
 class Eyes:
-    """Turns what the page shows into where the car is on the road."""
+    """Locates the car on the road by what the page shows."""
 
     def __init__(self, page: DrivePage) -> None:
         self._page = page
@@ -202,7 +203,7 @@ class StickHands(Hands):
         self._push(0.0)
 
     def _push(self, steering: float) -> None:
-        """Move the stick to where it steers so."""
+        """Move the stick to the position for this steering."""
         way = _DEAD_ZONE + (1 - _DEAD_ZONE) * abs(steering) ** (1 / _CURVE) if abs(steering) > 1e-3 else 0.0
         self._page.evaluate("way => { window.stick = way; }", math.copysign(min(1.0, way), steering))
 
@@ -215,7 +216,7 @@ _HANDS: Final[Mapping[Device, Callable[[DrivePage, Centreline, float, int], Hand
 
 
 class Player:
-    """Looks at the page, and acts. Call `step` again and again."""
+    """Looks at the page and acts. Call `step` repeatedly."""
 
     def __init__(self, page: DrivePage, device: Device, seed: int, mph: float = 10.0) -> None:
         self.eyes = Eyes(page)
@@ -227,7 +228,7 @@ class Player:
         return self.eyes.seen
 
     def look(self) -> Sight:
-        """Where the car is, when it is time to look again."""
+        """Wait until the next look is due. Returns the car on the map."""
         self._due_s = max(self._due_s + 1 / LOOKS_HZ, time.monotonic())
         time.sleep(max(0.0, self._due_s - time.monotonic()))
         return self.eyes.look()
@@ -239,13 +240,13 @@ class Player:
         return sight
 
 
-_TAKE_OVER_ASIDE: Final = 0.9  # of half the road's width, where the car will be
+_TAKE_OVER_ASIDE: Final = 0.9  # share of half the road's width, now or after `_TAKE_OVER_IN_S`
 _TAKE_OVER_IN_S: Final = 1.0
 _STEADY_ASIDE, _STEADY_RAD, _STEADY_S = 0.3, 0.07, 1.0
 
 
 class Supervisor:
-    """A player who lets a network drive, takes over where it is about to leave the road, and hands back."""
+    """A player who lets a network drive, takes over before it leaves the road, and hands back."""
 
     def __init__(self, page: DrivePage, player: Player) -> None:
         self._keyboard = page.page.keyboard

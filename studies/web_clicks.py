@@ -1,9 +1,9 @@
-"""The clicks and keys that cleaning a session takes, in Chromium over a bc-web that runs.
+"""The clicks and keys that cleaning a session takes, in Chromium with a running bc-web.
 
 python studies/web_clicks.py http://127.0.0.1:8080 SESSION
 
-From the list of sessions: every crash is looked at and excluded with a second before it, every gap is called fine,
-all rows in which the car stands are excluded. The session is tagged.
+Beginning at the list of sessions, it looks at every crash and excludes it with the second before, tags every gap
+as fine, and excludes all rows in which the car stands. It changes the session's tags.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ACTIONS = (
     "#kinds [data-kind=standing_still]",
     "x",
 )
-"""Clicks begin with #, keys do not."""
+"""Actions with # are clicks, the others are keys."""
 
 
 def main() -> None:
@@ -41,7 +41,7 @@ def main() -> None:
                 page.click(action)
             else:
                 page.keyboard.press(action)
-            page.wait_for_timeout(1000)  # as a person would; the change is written
+            page.wait_for_timeout(1000)  # as a person would, and until the change is written
             print(f"{number} {action}: {page.inner_text('#status')}")
         browser.close()
 

@@ -1,15 +1,15 @@
-"""Which number tells how a network drives? Many networks, every offline measure of each, and how they drive.
+"""Which number predicts how a network drives? Many networks, all offline measures of each, and their drives.
 
 python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--epochs 1 4] [--recipes original ...]
     [--laps 0.25] [--speed 15] [--report]
 
-Records half laps of both tracks by the expert and by someone at a keyboard, and other drives that no network
-learns from; trains each recipe with each seed, and takes the network of each of these epochs; lets each predict
-the recordings held out, and drive the simulator (`bc-eval --simulator`).
+The study records half laps of both tracks by the expert and by the simulated keyboard driver, and other drives
+that are held out. It trains each recipe with each seed, and takes the network of each of --epochs. Each network
+predicts the recordings held out, and drives the simulator (`bc-eval --simulator`).
 
-What FOLDER has already is not made again: stop it (Ctrl-C) and start it again as often as you like. Every job has
-one thread, and --jobs of them run at once. At the end, or at any time with --report alone, which_number_report.py
-makes the parquet, the table and the figure of what is there.
+Existing results in FOLDER are not computed again: stop the study (Ctrl-C) and start it again at any time. Every
+job has one thread, and --jobs of them run at once. At the end, or at any time with --report,
+which_number_report.py makes the parquet, the table and the figure of the existing results.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ PEOPLE: Final = ("--recipe", "people")
 
 @dataclass(frozen=True)
 class Recipe:
-    """How networks of one kind come about; all learn from as many samples, but for the tenth."""
+    """How to train a kind of networks. All learn the same number of samples, except "a tenth"."""
 
     index: tuple[str, ...]
     train: tuple[str, ...]
@@ -79,13 +79,13 @@ RECIPES: Final = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--jobs", type=int, default=2, help="how many run at once, of one thread each")
+    parser.add_argument("--jobs", type=int, default=2, help="number of jobs at once, with one thread each")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--epochs", type=int, nargs="+", default=list(EPOCHS))
-    parser.add_argument("--laps", type=float, default=0.25, help="how far to drive on each track")
-    parser.add_argument("--speed", type=float, default=15.0, help="how fast, in mph")
+    parser.add_argument("--laps", type=float, default=0.25, help="laps to drive on each track")
+    parser.add_argument("--speed", type=float, default=15.0, help="set speed in mph")
     parser.add_argument("--recipes", nargs="+", choices=RECIPES, default=list(RECIPES))
-    parser.add_argument("--report", action="store_true", help="only the report of what is there")
+    parser.add_argument("--report", action="store_true", help="only report the existing results")
     arguments = parser.parse_args()
     folder = arguments.folder.resolve()
     if not arguments.report:
@@ -93,17 +93,17 @@ def main() -> None:
         trainings = list(itertools.product(arguments.seeds, arguments.recipes))  # so that all recipes come early
         with Jobs(arguments.jobs) as jobs:
             study.jobs = jobs
-            jobs.each(lambda one: study.record(*one), [*study.learnt_drives(), *study.held_out_drives()])
-            jobs.each(study.index, arguments.recipes)
-            trained = jobs.each(lambda one: study.train(*one), trainings)
+            jobs.map(lambda drive: study.record(*drive), [*study.learnt_drives(), *study.held_out_drives()])
+            jobs.map(study.index, arguments.recipes)
+            trained = jobs.map(lambda training: study.train(*training), trainings)
             networks = [network for epoch in reversed(list(zip(*trained, strict=True))) for network in epoch]
             steps = (study.predict, study.drive)
-            jobs.each(lambda step: step[1](step[0]), list(itertools.product(networks, steps)))
+            jobs.map(lambda step: step[1](step[0]), list(itertools.product(networks, steps)))
     report.write(folder)
 
 
 class Jobs:
-    """Runs commands, some at once. What goes wrong in one, or a signal, ends all."""
+    """Runs commands, some at once. An error in one, or a signal, ends all."""
 
     def __init__(self, count: int) -> None:
         self._pool = ThreadPoolExecutor(count)
@@ -119,26 +119,26 @@ class Jobs:
         with self._lock:
             self._is_over = True
             for process in self._running:
-                process.terminate()  # these end whole: what they have not finished, they make again
+                process.terminate()  # they leave no partial result; the next start repeats them
         self._pool.shutdown(cancel_futures=True)
 
-    def each(self, work: Callable[[Any], Any], of: Iterable[Any]) -> list[Any]:
-        """The results of a job for each, in their order."""
-        futures = [self._pool.submit(work, one) for one in of]
+    def map(self, work: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+        """Run a job for each item. Returns the results in order."""
+        futures = [self._pool.submit(work, item) for item in items]
         done, _ = wait(futures, return_when=FIRST_EXCEPTION)
         for future in done:
             future.result()
         return [future.result() for future in futures]
 
     def bc(self, folder: Path, name: str, *arguments: object) -> str:
-        """Run a `bc-` command in the folder; what it prints."""
+        """Run a `bc-` command in the folder. Returns its output."""
         code = f"from behavioural_cloning_toolkit import bc_{name}; bc_{name}()"
         return self.run(folder, f"bc-{name}", ["-c", code], *arguments)
 
     def run(self, folder: Path, name: str, program: Sequence[str], *arguments: object) -> str:
-        """Run Python in the folder, with one thread; what it prints."""
+        """Run Python in the folder with one thread. Returns its output."""
         words = [str(argument) for argument in arguments]
-        told = f"{name} {' '.join(words)}"
+        line = f"{name} {' '.join(words)}"
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         begin_s = time.monotonic()
         with self._lock:
@@ -151,20 +151,20 @@ class Jobs:
                 text=True,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C reaches only us
+                start_new_session=True,  # Ctrl-C reaches only this process
             )
             self._running.add(process)
         output, errors = process.communicate()
         with self._lock:
             self._running.discard(process)
         if process.returncode not in (0, 3):
-            raise SystemExit(f"{told}: exit code {process.returncode}\n{errors}")
-        print(f"{time.monotonic() - begin_s:6.1f} s  {told}", file=sys.stderr, flush=True)
+            raise SystemExit(f"{line}: exit code {process.returncode}\n{errors}")
+        print(f"{time.monotonic() - begin_s:6.1f} s  {line}", file=sys.stderr, flush=True)
         return str(output)
 
 
 class Study:
-    """The steps. Each leaves a file or folder that shows that it is done."""
+    """The steps of the study. Each leaves a file or folder that shows that it is done."""
 
     jobs: Jobs
 
@@ -186,9 +186,9 @@ class Study:
     def record(self, track: str, driver: str, seed: int) -> None:
         name = session(track, driver, seed)
         log = self.folder / "sessions" / f"{name}.mcap"
-        if not log.exists():  # one that is stopped is finished as far as it has come: it lies elsewhere until then
+        if not log.exists():  # recorded to unfinished/ first, because a stopped recording is a valid, shorter log
             flags = ("--track", track, "--driver", driver, "--laps", RECORDED_LAPS[seed], "--seed", seed)
-            # a person who is recorded to be measured by is not pushed off the line now and then
+            # the keyboard driver of a held-out recording is not pushed off the line from time to time
             recovery = ("--recovery", 0) if seed == HELD_OUT_SEED and driver == "keyboard" else ()
             self.jobs.bc(self.folder, "record", name, *flags, *recovery, "--sessions", "unfinished", "--force")
             (self.folder / "unfinished" / log.name).rename(log)
@@ -201,7 +201,7 @@ class Study:
             self.jobs.bc(self.folder, "index", *sessions, "--index", index, *recipe.index)
 
     def train(self, seed: int, name: str) -> list[str]:
-        """Train some epochs, take the network, go on; the names of the networks."""
+        """Train, and copy the network after each of the epochs. Returns the names of the networks."""
         training = f"{file_name(name)}-s{seed}"
         for epochs in self.epochs:
             taken = self.folder / "networks" / f"{training}-e{epochs}"
@@ -221,14 +221,14 @@ class Study:
             self.jobs.bc(self.folder, "train", "--name", training, *index, *flags, *how)
 
     def _take(self, training: str, taken: Path) -> None:
-        """Copy a run without its checkpoint: what drives, and what it has learnt from."""
+        """Copy a run without its checkpoint."""
         part = taken.with_name(f"{taken.name}.part")
         shutil.rmtree(part, ignore_errors=True)
         shutil.copytree(self.folder / "runs" / training, part, ignore=shutil.ignore_patterns("last"))
         part.rename(taken)
 
     def predict(self, network: str) -> None:
-        """Keep what the network predicts of every held-out frame: any offline measure is made of that."""
+        """Store the network's prediction for every held-out frame, from which the report computes all measures."""
         kept = self.folder / "predictions" / f"{network}.parquet"
         if kept.exists():
             return
@@ -236,17 +236,17 @@ class Study:
         self.jobs.run(self.folder, "predict", [str(PREDICT)], self.folder / "networks" / network, kept, *logs)
 
     def drive(self, network: str) -> None:
-        """Drive the simulator. The logs, 100 MB each, are not kept."""
+        """Drive the simulator. The logs, 100 MB each, are deleted."""
         kept = self.folder / "driven" / f"{network}.jsonl"
         if kept.exists():
             return
         with tempfile.TemporaryDirectory(dir=self.folder / "drives") as logs:
             flags = ("--simulator", *DRIVEN, "--laps", self.laps, "--speed", self.speed_mph)
-            told = self.jobs.bc(
+            output = self.jobs.bc(
                 self.folder, "eval", network, "--runs", "networks", *flags, "--drives", logs, "--json"
             )
         with atomic_file(kept, overwrite=True) as part:
-            part.write_text(told)
+            part.write_text(output)
 
 
 def session(track: str, driver: str, seed: int) -> str:
@@ -261,4 +261,4 @@ if __name__ == "__main__":
     try:
         main()
     except KeyboardInterrupt:
-        sys.exit("stopped; the same command goes on from here")
+        sys.exit("stopped; the same command continues")

@@ -1,4 +1,4 @@
-"""Writes what a network predicts of every frame of some logs: a step of which_number.py.
+"""Write a network's predictions for every frame of some logs: a step of which_number.py.
 
 python studies/which_number_predict.py RUN TO.parquet LOG...
 """
@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument("to", type=Path)
     parser.add_argument("logs", nargs="+")
     chosen = parser.parse_args()
-    # one by one: two drives that begin at rest at the same place have the same first picture
+    # one log at a time: drives that begin at the same place have the same first picture, which counts only once
     frames = pa.concat_tables([evaluate_sessions(chosen.run, [log]).frames for log in chosen.logs])
     with atomic_file(chosen.to, overwrite=True) as part:
         pq.write_table(frames, part)

@@ -1,14 +1,13 @@
-"""Which number tells how a network drives: the measures of each network of which_number.py, and how they rank.
+"""Which number predicts how a network drives? The measures of the networks of which_number.py, and their ranks.
 
 python studies/which_number_report.py studies/which_number.parquet FOLDER
 
-makes the tables and the figure of docs/studies/which-number.md in FOLDER, from the measures that are kept here.
+makes the tables and the figure of docs/studies/which-number.md in FOLDER, from the stored measures.
 
-Each measure is turned so that more of it is worse. Spearman's rank correlation with how badly the network drives
-is then 1 for a measure that orders networks as driving does, and 0 for one that says nothing. Its confidence
-interval is from a bootstrap over trainings: networks of the same training are alike. "Within a recipe" asks what
-whoever chooses the epoch to keep asks: ranks are taken within each recipe, over its epochs and seeds, and only
-then correlated.
+Each measure is oriented so that more is worse. Spearman's rank correlation with bad driving is then 1 for a
+measure that orders networks as driving does, and 0 for a measure that predicts nothing. Its confidence interval is
+from a bootstrap over trainings, because networks of the same training are alike. "Within a recipe" answers the
+question which epoch to keep: ranks are taken within each recipe, over its epochs and seeds, and then correlated.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ OUTCOMES: Final = ("interventions a lap", "mean offset", "autonomy lost, %")
 DRAWS: Final = 500
 DATA: Final = "which_number.parquet"
 HANDS: Final[dict[Hand, str]] = {"keys": "people", "smooth": "expert"}
-"""Whose recordings an error is of: "people" have a keyboard."""
+"""The recordings on which an error is measured; "people" stands for the keyboard driver."""
 
 
 def write(folder: Path) -> None:
-    """Write FOLDER/which_number.parquet, .md and .png; print the table."""
+    """Write FOLDER/which_number.parquet, .md and .png, and print the tables."""
     measured = [
         {path.stem for path in (folder / name).glob(pattern)}
         for name, pattern in (
@@ -59,11 +58,11 @@ def write(folder: Path) -> None:
     rows = [row for network in networks for row in rows_of(folder, network)]
     with atomic_file(folder / DATA, overwrite=True) as part:
         pq.write_table(pa.Table.from_pylist(rows), part)
-    tell(rows, folder)
+    write_report(rows, folder)
 
 
-def tell(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Write FOLDER/which_number.md and .png of these measures; print the tables."""
+def write_report(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Write FOLDER/which_number.md and .png of these measures, and print the tables."""
     wide = pivot(rows)
     table = correlations(wide)
     text = "\n".join([*driving_of_recipes(rows), "", *staying(rows, wide), "", *markdown(wide, table)]) + "\n"
@@ -75,7 +74,7 @@ def tell(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
 
 
 def rows_of(folder: Path, network: str) -> list[dict[str, Any]]:
-    """The measures of a network, a row each."""
+    """The measures of a network, one row each."""
     training, epoch = network.rsplit("-e", 1)
     recipe, seed = training.rsplit("-s", 1)
     about = {"network": network, "recipe": recipe, "seed": int(seed), "epoch": int(epoch)}
@@ -86,9 +85,9 @@ def rows_of(folder: Path, network: str) -> list[dict[str, Any]]:
         values += [("offline", driver, name, value) for name, value in offline(part).items()]
     for kind, file in (("recording driven", "recordings_driven"), ("driven", "driven")):
         for line in (folder / file / f"{network}.jsonl").read_text().splitlines():
-            told = json.loads(line)
-            where = told.get("track") or told["session"]
-            values += [(kind, where, name, float(value)) for name, value in told.items() if is_number(value)]
+            drive = json.loads(line)
+            where = drive.get("track") or drive["session"]
+            values += [(kind, where, name, float(value)) for name, value in drive.items() if is_number(value)]
     return [
         {**about, "kind": kind, "where": where, "measure": name, "value": value}
         for kind, where, name, value in values
@@ -100,7 +99,7 @@ def is_number(value: object) -> bool:
 
 
 def offline(frames: pd.DataFrame) -> dict[str, float]:
-    """Every offline measure of predictions, turned so that more is worse; angles in degrees."""
+    """All offline measures of predictions, oriented so that more is worse; angles in degrees."""
     predicted, recorded = frames["predicted"].to_numpy(), frames["recorded"].to_numpy()
     measures = measure(predicted, recorded)
     spread, centred = predicted - predicted.mean(), recorded - recorded.mean()
@@ -130,12 +129,12 @@ def offline(frames: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def by_session(frames: pd.DataFrame, of: Callable[[pd.DataFrame], pd.Series[float]]) -> Floats:
-    return np.concatenate([of(part).to_numpy() for _, part in frames.groupby("session", sort=False)])
+def by_session(frames: pd.DataFrame, values: Callable[[pd.DataFrame], pd.Series[float]]) -> Floats:
+    return np.concatenate([values(part).to_numpy() for _, part in frames.groupby("session", sort=False)])
 
 
 def smoothed(part: pd.DataFrame, seconds: float) -> pd.Series[float]:
-    """The mean prediction of so many seconds around each frame, at 10 Hz."""
+    """The mean prediction over `seconds` around each frame, at 10 Hz."""
     return part["predicted"].rolling(round(10 * seconds) + 1, center=True, min_periods=1).mean()
 
 
@@ -144,7 +143,7 @@ def rmse_deg(predicted: Floats, recorded: Floats) -> float:
 
 
 def pivot(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """A row a network: its offline measures by driver, those of driving recordings, and `OUTCOMES`."""
+    """One row for each network: its offline measures by driver, those of driving recordings, and `OUTCOMES`."""
     long = pd.DataFrame(rows)
     index = ["network", "recipe", "seed", "epoch"]
     offline_part = long[long["kind"] == "offline"]
@@ -174,8 +173,8 @@ def sums_of(long: pd.DataFrame, index: list[str]) -> pd.DataFrame:
 
 
 def correlations(wide: pd.DataFrame) -> pd.DataFrame:
-    """A row for each offline measure and outcome: Spearman's correlation over all networks and within recipes,
-    each with its 95 % interval."""
+    """One row for each offline measure and outcome: Spearman's correlation over all networks and within recipes,
+    with their 95 % intervals."""
     about = {"network", "recipe", "seed", "epoch", *OUTCOMES}
     names = [name for name in wide.columns if name not in about]
     training = pd.factorize(wide["recipe"] + "-" + wide["seed"].astype(str))[0]
@@ -188,13 +187,14 @@ def correlations(wide: pd.DataFrame) -> pd.DataFrame:
         for name in names:
             x, y = wide[name].to_numpy(np.float64), wide[outcome].to_numpy(np.float64)
             row: dict[str, Any] = {"outcome": outcome, "measure": name}
-            for label, of in (("all", spearman), ("within", spearman_within)):
+            for label, rank_correlation in (("all", spearman), ("within", spearman_within)):
                 drawn = [
-                    of(x[at], y[at], recipe[at]) for at in (np.concatenate([members[n] for n in d]) for d in draws)
+                    rank_correlation(x[at], y[at], recipe[at])
+                    for at in (np.concatenate([members[n] for n in d]) for d in draws)
                 ]
-                known = [value for value in drawn if math.isfinite(value)]
-                low, high = np.quantile(known, [0.025, 0.975]) if known else (math.nan, math.nan)
-                row |= {label: of(x, y, recipe), f"{label} low": low, f"{label} high": high}
+                finite = [value for value in drawn if math.isfinite(value)]
+                low, high = np.quantile(finite, [0.025, 0.975]) if finite else (math.nan, math.nan)
+                row |= {label: rank_correlation(x, y, recipe), f"{label} low": low, f"{label} high": high}
             table.append(row)
     return pd.DataFrame(table)
 
@@ -204,7 +204,7 @@ def spearman(x: Floats, y: Floats, _: NDArray[np.intp]) -> float:
 
 
 def spearman_within(x: Floats, y: Floats, group: NDArray[np.intp]) -> float:
-    """The correlation of ranks that were taken within each group, as shares of its size, and centred there."""
+    """The correlation of ranks within each group, divided by the size of the group, and centred within it."""
     a, b = np.zeros(len(x)), np.zeros(len(x))
     for number in np.unique(group):
         at = np.flatnonzero(group == number)
@@ -215,7 +215,7 @@ def spearman_within(x: Floats, y: Floats, group: NDArray[np.intp]) -> float:
 
 
 def ranks(values: Floats) -> Floats:
-    """From 1; those of equal values are their mean."""
+    """The ranks of values, from 1. Equal values get the mean of their ranks."""
     _, number, count = np.unique(np.round(values, 9), return_inverse=True, return_counts=True)
     last = np.cumsum(count)
     return np.asarray((last - (count - 1) / 2)[number], np.float64)
@@ -226,8 +226,8 @@ def correlation(a: Floats, b: Floats) -> float:
 
 
 def driving_of_recipes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A table: how the networks of each recipe drive after their last epoch, on tracks of which they have learnt a
-    part and on others; the mean over seeds, and the least and the most."""
+    """A table of the drives of each recipe after the last epoch, on tracks of which they learnt a part and on
+    unseen tracks: the mean, minimum and maximum over seeds."""
     long = pd.DataFrame(rows)
     long = long[(long["kind"] == "driven") & (long["epoch"] == long["epoch"].max())]
     parts = {"known": long["where"].isin(KNOWN), "unseen": ~long["where"].isin(KNOWN)}
@@ -245,8 +245,8 @@ def driving_of_recipes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def staying(rows: Sequence[Mapping[str, Any]], wide: pd.DataFrame) -> list[str]:
-    """A table: the networks of each driving error, and how many of them needed no intervention on any road. The
-    counts are those of `model.runs.enough_to_drive.STUDY`."""
+    """A table of the networks by driving error, and how many of them needed no intervention on any road. Its
+    counts are in `model.runs.enough_to_drive.STUDY`."""
     long = pd.DataFrame(rows)
     driven = long[(long["kind"] == "driven") & (long["measure"] == "interventions")]
     has_stayed = wide["network"].map(driven.groupby("network")["value"].sum()).to_numpy() == 0
@@ -256,11 +256,11 @@ def staying(rows: Sequence[Mapping[str, Any]], wide: pd.DataFrame) -> list[str]:
         bounds = (0.0, *EDGES[hand], math.inf)
         for low, high in itertools.pairwise(bounds):
             stayed = has_stayed[(low <= error) & (error < high)]
-            least, most = wilson_interval(int(stayed.sum()), len(stayed))
+            low_share, high_share = wilson_interval(int(stayed.sum()), len(stayed))
             words = (
                 f"{low:g} and more" if high == math.inf else f"{low:g} to {high:g}" if low else f"below {high:g}"
             )
-            share = f"{100 * stayed.mean():.0f} % ({100 * least:.0f} to {100 * most:.0f})"
+            share = f"{100 * stayed.mean():.0f} % ({100 * low_share:.0f} to {100 * high_share:.0f})"
             lines.append(f"| {hand} | {words} | {len(stayed)} | {stayed.sum()} | {share} |")
     return lines
 
@@ -270,7 +270,7 @@ def mean_and_range(values: pd.Series[float]) -> str:
 
 
 def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> list[str]:
-    """The tables of how each measure ranks the networks."""
+    """The tables of the rank correlations of each measure."""
     lines = [f"{len(wide)} networks of {wide['recipe'].nunique()} recipes."]
     order = table[table["outcome"] == OUTCOMES[0]].sort_values("within", ascending=False)["measure"].tolist()
     for label, title in (("all", "over all networks"), ("within", "within a recipe")):
@@ -286,8 +286,8 @@ def markdown(wide: pd.DataFrame, table: pd.DataFrame) -> list[str]:
 
 
 def draw(wide: pd.DataFrame, table: pd.DataFrame, path: Path) -> None:
-    """Left: the rank correlation of every measure with interventions, of recordings of people and of the expert;
-    right: interventions by two of them, a point a network."""
+    """Draw the figure. Left: the rank correlation of every measure with interventions, on recordings of people and
+    of the expert. Right: interventions by two of the measures, one point for each network."""
     part = table[table["outcome"] == OUTCOMES[0]]
     names = [name.removesuffix(" (people)") for name in part["measure"] if name.endswith(" (people)")]
     names = sorted(names, key=lambda name: float(part.loc[part["measure"] == f"{name} (people)", "all"].iloc[0]))
@@ -319,4 +319,4 @@ if __name__ == "__main__":
     parser.add_argument("measures", type=Path)
     parser.add_argument("folder", type=Path)
     chosen = parser.parse_args()
-    tell(pq.read_table(chosen.measures).to_pylist(), chosen.folder)
+    write_report(pq.read_table(chosen.measures).to_pylist(), chosen.folder)

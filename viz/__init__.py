@@ -1,4 +1,4 @@
-"""Visualization: logs in the Rerun viewer, with a layout that fits their topics."""
+"""Visualization: logs in the Rerun viewer, with a layout for their topics."""
 
 from behavioural_cloning_toolkit import refuse_hidden
 

@@ -1,4 +1,4 @@
-"""`bc-play`: logs in the Rerun viewer."""
+"""`bc-play`: show logs in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def play(config: Play) -> int:
 
 def _prepare_rerun() -> None:
     if find_spec("rerun") is None or find_spec("rerun_cli") is None:
-        raise UserError(f"the viewer is not installed here: `{package_line('rerun-sdk')}` brings it")
+        raise UserError(f"the viewer is not installed: install it with `{package_line('rerun-sdk')}`")
     from viz.viewer_process import SENDER_LOG
 
-    os.environ.setdefault("RUST_LOG", SENDER_LOG)  # read when Rerun starts
+    os.environ.setdefault("RUST_LOG", SENDER_LOG)  # Rerun reads it when it starts
 
 
 def _show_or_save(config: Play, content: FinishedContent | GrowingLogContent) -> int:
-    """Show it, or write it to a file; return the exit code."""
+    """Show the content, or write it to a file. Returns the exit code."""
     if config.save is None:
         code = content.show(_destination(config))
         if code in (DONE, DONE_BUT_SKIPPED) and not config.follow:
@@ -81,13 +81,14 @@ def _content(config: Play) -> FinishedContent | GrowingLogContent:
 
 
 def _check_logs(paths: Sequence[Path]) -> None:
-    """Raise LogError for a file that is no log, before a viewer opens; print a notice for a log without CRCs."""
+    """Raise LogError for a file that is not a log, before a viewer opens. Print a notice for a log without
+    CRCs."""
     from recorder import Log
     from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
 
     for path in dict.fromkeys(paths):
         with McapFile(path) as file:
-            if file.promises_crcs:  # a log that was never finished would be read through for it
+            if file.promises_crcs:  # for an unfinished log, `has_crcs` would read the whole file
                 continue
         with Log(path) as log:
             if not log.has_crcs:
@@ -118,13 +119,13 @@ def _make_video(config: Play, video: Path) -> int:
     if made.left_out:
         pictures = counted(made.left_out, "picture")
         print_message(
-            f"{pictures} left out, in the same sixtieth of a second as another: a video shows at most 60 a second"
+            f"{pictures} left out, in the same sixtieth of a second as another: a video has at most 60 a second"
         )
     return max(_warn_unfinished(made.notice), warn_skipped(made.skipped))
 
 
 def _play_predicted(config: Play) -> int:
-    """Show a log with predictions of networks, or write them; return the exit code."""
+    """Show a log with predictions of networks, or write the predictions. Returns the exit code."""
     from model import find_run
     from model.evaluation.predict_log import predict_log
     from model.runs.run_folder import load_named
@@ -138,7 +139,7 @@ def _play_predicted(config: Play) -> int:
         raise UsageError(f"--write opens nothing: give it without {flags}")
     for path in (config.save, config.write):
         if path is not None:
-            refuse_existing(path, config.force)  # before minutes of work, not after them
+            refuse_existing(path, config.force)  # before minutes of work
     _check_logs(config.logs)
     runs = [find_run(name, config.runs) for name in config.run]
     load_named(config.network, runs)
@@ -162,7 +163,7 @@ def _play_predicted(config: Play) -> int:
 
 
 def _report_predictions(config: Play, predictions: LogPredictions) -> int:
-    """Write predictions to --write, if given, and print their summaries; return the exit code."""
+    """Write the predictions to --write, if given, and print their summaries. Returns the exit code."""
     from viz.playback.prediction_log import write_predictions
 
     if config.write is not None:
@@ -174,7 +175,7 @@ def _report_predictions(config: Play, predictions: LogPredictions) -> int:
 
 
 def _warn_unfinished(notice: str) -> int:
-    """Print the notice of a log that was never finished; return the exit code."""
+    """Print the notice of a log that was never finished. Returns the exit code."""
     return warn(notice) if notice else DONE
 
 

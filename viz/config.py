@@ -1,4 +1,4 @@
-"""The flags of `bc-play`, and which of them go together."""
+"""The flags of `bc-play`, and the combinations that are refused."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Play:
 
     @property
     def logs(self) -> tuple[Path, ...]:
-        """Raises UserError for one that is not on this machine."""
+        """The logs. Raises UserError for a log that is not on this machine."""
         return tuple(map(local_path, self.places))
 
     @property
@@ -78,7 +78,7 @@ class Play:
 
 
 def check_files(config: Play) -> None:
-    """Raise UserError or UsageError for folders, files that may not be written, and logs taken for addresses."""
+    """Raise UserError or UsageError for folders, files that must not be written, and logs given as addresses."""
     if folder := next((log for log in config.logs if log.is_dir()), None):
         raise UserError(f"{folder} is a folder: give a log; `bc-web --open` shows how runs were trained")
     _refuse_overwriting_logs(config)
@@ -87,18 +87,16 @@ def check_files(config: Play) -> None:
 
 
 def check_video_flags(config: Play) -> None:
-    """Raise UsageError for flags that do not go together with --video."""
+    """Raise UsageError for flags that contradict --video."""
     if len(config.places) != 1:
-        raise UsageError("--video is made of one log: give one")
-    unfit = flags_given(
-        config, "save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at"
-    )
-    if unfit:
-        raise UsageError(f"--video writes a file and opens nothing: give it without {unfit}")
+        raise UsageError("--video shows one log: give one")
+    others = ("save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at")
+    if flags := flags_given(config, *others):
+        raise UsageError(f"--video writes a file and opens nothing: give it without {flags}")
 
 
 def check_viewer_flags(config: Play) -> None:
-    """Raise UsageError for flags that do not go together where logs are shown, or written by --save."""
+    """Raise UsageError for flags that contradict each other when logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
@@ -128,14 +126,14 @@ def _check_moment(config: Play) -> None:
 
 
 def _refuse_overwriting_logs(config: Play) -> None:
-    """Raise UserError for a file that would be written over a log that is read, or over another one."""
+    """Raise UserError for a file that would replace a log that is read, or another written file."""
     flags = (("--save", config.save), ("--video", config.video), ("--write", config.write))
     written = [(flag, path) for flag, path in flags if path is not None]
     for at, (flag, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
-            raise UserError(f"{flag} {path}: is the log itself, which is not changed; give another name")
+            raise UserError(f"{flag} {path}: is the log itself, which must not change; give another name")
         if any(real_path(path) == real_path(other) for _, other in written[:at]):
-            raise UsageError(f"{flag} {path}: two files would have this name; give another one")
+            raise UsageError(f"{flag} {path}: two files would have this name; give another name")
 
 
 def _refuse_other_suffixes(config: Play) -> None:
@@ -146,16 +144,16 @@ def _refuse_other_suffixes(config: Play) -> None:
         ("--write", config.write, ".mcap"),
     ):
         if path is not None and path.suffix.lower() != suffix:
-            raise UsageError(f"{flag} {path}: it writes an {suffix} file; give it such a name")
+            raise UsageError(f"{flag} {path}: it writes an {suffix} file; give a name that ends in {suffix}")
 
 
 def _refuse_logs_as_addresses(config: Play) -> None:
-    """Raise UsageError for logs behind --connect, which takes them for addresses."""
-    given = config.connect or ()
-    swallowed = [name for name in given if os.path.lexists(name)]
-    if len(given) < 2 and (config.logs or not swallowed):
+    """Raise UsageError for logs after --connect, which would take them for addresses."""
+    names = config.connect or ()
+    misplaced_logs = [name for name in names if os.path.lexists(name)]
+    if len(names) < 2 and (config.logs or not misplaced_logs):
         return
-    logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *swallowed)) or "LOG"
-    addresses = [name for name in given if name not in swallowed]
+    logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *misplaced_logs)) or "LOG"
+    addresses = [name for name in names if name not in misplaced_logs]
     line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
     raise UsageError(f"--connect takes one address; put it after the logs: {line}")

@@ -1,4 +1,4 @@
-"""Messages of bc-play on stderr, under its own name or, beside another command, under that of its viewer."""
+"""Messages of bc-play on stderr, with the name bc-play or, as the viewer of another command, with `viewer`."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ class _Program:
 
 
 def set_program_name(name: str) -> None:
-    """Print messages from now on under this name instead of bc-play's."""
+    """Print messages from now on with `name` instead of bc-play."""
     _Program.name = name
 
 
 def browser_hint() -> str:
-    """A hint that bc-play adds where its viewer fails. Beside another command, which has no such flag,
-    `viz.preview_command` adds the bc-play command that shows the same."""
+    """The hint that bc-play adds if its viewer fails; empty for the viewer of another command, which has no --web:
+    `viz.preview_command` adds a bc-play command instead."""
     return "; or give --web to use a browser instead" if _Program.name == "bc-play" else ""
 
 
@@ -26,10 +26,10 @@ def print_notice(text: str) -> None:
 
 
 def print_error(error: UserError) -> int:
-    """Print an error in one line; return its exit code."""
+    """Print an error in one line. Returns its exit code."""
     return command.print_error(_Program.name, error)
 
 
 def print_skipped(skipped: Skipped) -> int:
-    """Print the items that are not shown, if any; return the exit code."""
+    """Print the items that are not shown, if any. Returns the exit code."""
     return command.warn_skipped(skipped, f"{_Program.name}: skipped")

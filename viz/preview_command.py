@@ -1,4 +1,4 @@
-"""`bc-play` as `common.preview` starts it: it ends with the process that started it."""
+"""`bc-play` for `common.preview`: it ends when the process that started it ends."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from viz.cli import play
 from viz.config import Play
 from viz.console import set_program_name
 
-_NAME = "viewer"  # in place of bc-play, which the user has not called
+_NAME = "viewer"  # instead of bc-play, which the user has not called
 
 
 def _show(config: Play) -> int:
     try:
         return play(config)
-    except KeyboardInterrupt:  # ended by the command beside it: not worth a message
+    except KeyboardInterrupt:  # the command that started it has ended it: no message
         return INTERRUPTED
     except UserError as error:
         if config.save is not None:
             raise
         again = f"bc-play {shlex.quote(str(final_path(config.log)))} --follow"
-        another = f"`{again}` opens another one, `{again} --web` in a browser"
+        another = f"`{again}` opens another viewer, `{again} --web` opens it in a browser"
         raise UserError(f"{error}; everything else continues; {another}") from None
 
 

@@ -1,4 +1,4 @@
-"""A Rerun recording that is written to a file, which appears whole or not at all."""
+"""Write a Rerun recording to a file, which appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ _READ_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class RrdFile:
-    """A recording to send to, and whether its file has failed."""
+    """A recording that is written to a file."""
 
     recording: rr.RecordingStream
     has_failed: threading.Event
-    """Set as soon as the file cannot be written any further."""
+    """Set when the file can no longer be written."""
 
 
 @contextlib.contextmanager
 def rrd_file(
     path: Path, *, overwrite: bool, recording_id: str | None = None, layout: rrb.Blueprint | None = None
 ) -> Iterator[RrdFile]:
-    """A recording to the file `path`.
+    """Yield a recording that is written to the file `path`.
 
-    Raises UserError if `path` exists and may not be overwritten, or where the disk is full; nothing is then left.
+    Raises UserError if `path` exists and may not be overwritten, or if the disk is full; then no new file remains.
     """
     with atomic_file(path, overwrite=overwrite) as part:
         recording = rr.RecordingStream(APPLICATION, recording_id=recording_id)
-        if sys.platform == "win32":  # a pipe has no name there that Rerun could open
-            part.touch()  # of a folder that cannot be written, Rerun makes a hang
+        if sys.platform == "win32":  # pipes on Windows have no name that Rerun can open
+            part.touch()  # raises if the folder cannot be written to; Rerun itself would hang
             recording.save(part, default_blueprint=layout)
             yield RrdFile(recording, threading.Event())
             recording.flush()
@@ -67,9 +67,9 @@ def rrd_file(
 
 
 class _Pipe(threading.Thread):
-    """Takes what Rerun writes and writes it to a file.
+    """Receives Rerun's data and writes it to a file.
 
-    Rerun itself may hang when it meets a full disk, or leave out the end of a file without a word.
+    On a full disk, Rerun itself may hang, or omit the end of a file without an error.
     """
 
     def __init__(self, stream: IO[bytes]) -> None:
@@ -91,7 +91,7 @@ class _Pipe(threading.Thread):
                 self._write(data)
 
     def close_own_end(self) -> None:
-        """Close this end, once Rerun has opened its own: the file then ends when Rerun closes that."""
+        """Close this end after Rerun has opened its own: the data then ends when Rerun closes its end."""
         if self._is_own_end_open:
             self._is_own_end_open = False
             os.close(self._own_end)
@@ -102,7 +102,7 @@ class _Pipe(threading.Thread):
         os.close(self._from)
 
     def _write(self, data: bytes) -> None:
-        """After an error, the rest is still taken from Rerun, and dropped."""
+        """Write data to the file. After an error, `run` still receives Rerun's data, and drops it."""
         left = memoryview(data)
         try:
             while left:

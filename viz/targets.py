@@ -24,27 +24,27 @@ from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes
-_SENT: Final = 900_000_000  # bytes of larger content: the curves of two hours need as much
+_SENT: Final = 900_000_000  # bytes to send of larger content: the curves of two hours need as much again
 WINDOW_MEMORY: Final = "1MB"
-"""Memory of the server of a window: no viewer connects late, and the window has its own copy."""
-_ROOM: Final = 300_000_000  # bytes that a server needs for more than the logs, so that it drops nothing
+"""Memory of a window's server: no viewer connects late, and the window has its own copy."""
+_ROOM: Final = 300_000_000  # bytes that a server needs in addition to the logs, so that it drops nothing
 
 
 @dataclass(frozen=True)
 class Destination:
-    """A viewer: in a window, for browsers, or one that runs already."""
+    """A viewer: in a window, for browsers, or already running."""
 
     web: bool
-    connect: str | None  # the address of a viewer; empty: the usual one
+    connect: str | None  # the address of a running viewer; empty: the default address; None: open a viewer
     ports: Ports
 
 
 class FinishedContent:
-    """Logs that do not grow. `save` writes them to a file; `show` shows them until the viewer is closed, or until
-    a viewer that runs already has them. Both return the exit code."""
+    """Logs that do not grow. `save` writes them to a file. `show` shows them until the viewer is closed; with a
+    viewer that was already running, it returns when all is sent. Both return the exit code."""
 
     def __init__(self, prepare: Callable[[], AbstractContextManager[PreparedRecording]], size: int = 0) -> None:
-        """`size` is that of what is shown, in bytes."""
+        """`size` is the size of the content in bytes."""
         self._prepare = prepare
         self._size = size
 
@@ -54,12 +54,14 @@ class FinishedContent:
             return max(warn_all(prepared.notices), print_skipped(prepared.skipped))
 
     def show(self, destination: Destination) -> int:
-        # The viewer starts while the logs are read. The server of a page holds all of them: it may be opened late.
+        # The viewer starts while the logs are read. A page may be opened late, so its server holds all the data.
         every = 1 if self._size <= _LARGE else math.ceil(self._size / _SENT)
         memory_mb = max(1000, int(1.2 * self._size / every + _ROOM) // 1_000_000)
         if every > 1:
-            part = f"one picture of {every}, or 2 GB of memory would not do"
-            print_notice(f"{self._size / 1e9:.1f} GB to show: {part}; all: --save FILE.rrd, then `rerun FILE.rrd`")
+            part = f"one picture of {every} is sent, so that 2 GB of memory suffice"
+            print_notice(
+                f"{self._size / 1e9:.1f} GB to show: {part}; to see all: --save FILE.rrd, then `rerun FILE.rrd`"
+            )
         with (
             open_destination(destination, server_memory=f"{memory_mb}MB") as (url, viewer),
             self._prepare() as prepared,
@@ -72,13 +74,13 @@ class FinishedContent:
 
 
 class GrowingLogContent:
-    """A log that is being written; its methods are those of `FinishedContent`."""
+    """A log that is being written, with the methods of `FinishedContent`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def save(self, rrd: Path, *, overwrite: bool) -> int:
-        with stop_signals() as stopped:  # what is there by then is kept
+        with stop_signals() as stopped:  # Ctrl-C keeps what is written so far
             followed = save_growing(self._path, rrd, overwrite=overwrite, stop=stopped)
         return max(warn_all([followed.notice]), warn_skipped(followed.skipped))
 
@@ -91,7 +93,7 @@ class GrowingLogContent:
 def open_destination(
     destination: Destination, *, memory: str | None = None, server_memory: str | None = None
 ) -> Iterator[tuple[str, Viewer | None]]:
-    """Open an empty viewer: its URL, and its process unless it runs already.
+    """Open an empty viewer. Yields its URL, and its process, or None for a viewer that was already running.
 
     Raises UserError if it cannot be opened, or does not listen.
     """
@@ -102,10 +104,10 @@ def open_destination(
         yield url, None
         return
     web = destination.web or not has_display()
-    # A window gets a port of its own: several may be open beside each other.
+    # A window gets its own free port, because several windows may be open.
     ports = destination.ports if web else Ports(destination.ports.web, free_port())
-    kept = server_memory if web else WINDOW_MEMORY
-    with open_viewer(ports, web=web, memory=memory, server_memory=kept) as viewer:
+    server_memory = server_memory if web else WINDOW_MEMORY
+    with open_viewer(ports, web=web, memory=memory, server_memory=server_memory) as viewer:
         if web:
             print_result(ports.web_address)
             print_notice("open that address in a browser; Ctrl-C ends")
@@ -113,7 +115,7 @@ def open_destination(
 
 
 def warn_all(notices: Sequence[str]) -> int:
-    """Print the notices of logs that were never finished; return the exit code."""
+    """Print the notices of logs that were never finished. Returns the exit code."""
     return max((warn(notice) for notice in notices if notice), default=DONE)
 
 

@@ -1,4 +1,4 @@
-"""The time lines on which logs are shown: seconds since their start, and a log's own time."""
+"""The time lines on which logs are shown: seconds since their start, and log time."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from rerun.chunk import Chunk
 
 SINCE_START: Final = "since start"
-LOG_TIME: Final = "message_log_time"  # as Rerun's MCAP reader calls a message's log time
+LOG_TIME: Final = "message_log_time"  # the name in Rerun's MCAP reader
 
 Times = NDArray[np.int64]
 Clock = Callable[[Times], list[rr.TimeColumn]]
-"""Makes time lines of log times (N,) in ns."""
+"""Converts log times (N,) in ns to time lines."""
 
 
 def log_clock(start_ns: int) -> Clock:
-    """Seconds since the log's start, and its own time."""
+    """A clock with seconds since the log's start and log time."""
     since_start = start_clock(start_ns)
     return lambda time_ns: [
         *since_start(time_ns),
@@ -29,16 +29,16 @@ def log_clock(start_ns: int) -> Clock:
 
 
 def start_clock(start_ns: int) -> Clock:
-    """Seconds since the log's start alone: what logs of different days can share."""
+    """A clock with only seconds since the log's start, which logs of different days can share."""
     return lambda time_ns: [rr.TimeColumn(SINCE_START, duration=(time_ns - start_ns).astype("timedelta64[ns]"))]
 
 
 def on_clock(chunks: Iterable[Chunk], clock: Clock, left_out: str = "") -> Generator[Chunk]:
-    """Move chunks of Rerun's reader to other time lines, without the component `left_out`; chunks without
-    a time stay as they are."""
+    """Move chunks of Rerun's reader to the time lines of `clock`, without the component `left_out`. Chunks without
+    a time stay unchanged."""
     for chunk in chunks:
         if LOG_TIME not in chunk.timeline_names:
-            yield chunk  # of the file, not of a moment
+            yield chunk  # data of the whole file
             continue
         batch = chunk.to_record_batch()
         fields = [field for field in batch.schema if _is_data(field) and field.name != left_out]

@@ -1,4 +1,4 @@
-"""A log as a video: the centre camera's pictures in their own time, as H.264 in an .mp4 that plays everywhere.
+"""A log as a video: the centre camera's pictures with their timing, as H.264 in an .mp4 that plays everywhere.
 
 PyAV is an extra: `pip install ".[video]"`.
 """
@@ -33,36 +33,36 @@ if TYPE_CHECKING:
     from av import VideoFrame
 
 TICKS_A_SECOND: Final = 60
-"""A picture appears at the sixtieth of a second that is nearest to its time: no screen or player needs finer."""
+"""Times of pictures are rounded to a sixtieth of a second, which is enough for every screen and player."""
 HELD_S: Final = 0.5
-"""Seconds for which the last picture before a gap stays, in place of the gap."""
+"""Seconds for which the last picture before a gap stays, instead of the gap."""
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 _MIN_WIDTH, _MAX_SIDE, _MIN_SIDE = 640, 1920, 64
 _TICK: Final = Fraction(1, TICKS_A_SECOND)
-# g: a place to jump to every few seconds; bf: with pictures stored out of their order, the last one loses its time
+# g: a key frame every few seconds, for seeking; bf: with B-frames, the last picture would lose its duration
 _ENCODER: Final = {"preset": "veryfast", "crf": "23", "g": "60", "bf": "0"}
 _BT601: Final = 6  # SMPTE 170M, which OpenCV converts to
 
 
 @dataclass(frozen=True)
 class Video:
-    """A video that was written, and the parts of its log that are not in it."""
+    """A written video, and the parts of its log that are not in it."""
 
     pictures: int
     duration_s: float
     width: int
     height: int
     left_out: int
-    """Pictures that fell on the same sixtieth of a second as another."""
+    """Pictures left out because another one has the same sixtieth of a second."""
     gaps: int
-    """Gaps of more than a second; each is cut to `HELD_S`."""
+    """Gaps of more than a second, each shortened to `HELD_S`."""
     cut_s: float
-    """Seconds of the log that these gaps took."""
+    """Seconds of the log that the shortened gaps leave out."""
     skipped: Skipped
-    """Pictures that are damaged or do not decode: the one before is shown in their place."""
+    """Pictures that are damaged or do not decode: the picture before is shown instead."""
     notice: str
-    """Says that the log was never finished; empty if it was."""
+    """A notice that the log was never finished; empty for a finished log."""
 
 
 @dataclass(frozen=True)
@@ -70,31 +70,31 @@ class Schedule:
     """The pictures of a video, and their times."""
 
     numbers: NDArray[np.int64]
-    ticks: NDArray[np.int64]  # at which each appears
-    end: int  # at which the last one vanishes
+    ticks: NDArray[np.int64]  # at which each picture appears
+    end: int  # tick at which the last picture ends
     gaps: int
     cut_s: float
 
     def shown(self) -> Iterator[tuple[int, int, int]]:
-        """Number, begin and end of each."""
+        """The number, the begin and the end of each picture."""
         ends = np.append(self.ticks[1:], self.end)
         return zip(self.numbers.tolist(), self.ticks.tolist(), ends.tolist(), strict=True)
 
 
 def check_speed(speed: float) -> None:
-    """Raises UserError for what no video plays at."""
+    """Raise UserError for a speed outside MIN_SPEED..MAX_SPEED."""
     if not MIN_SPEED <= speed <= MAX_SPEED:
-        raise UserError(f"--speed {speed:g}: how many times as fast must be {MIN_SPEED:g} to {MAX_SPEED:g}")
+        raise UserError(f"--speed {speed:g}: a number from {MIN_SPEED:g} to {MAX_SPEED:g} was expected")
 
 
 def write_video(
     path: Path, video: Path, *, speed: float = 1.0, overlay: bool = False, overwrite: bool = False
 ) -> Video:
-    """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as was driven.
+    """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as the drive.
 
-    `overlay` puts the instruments below the pictures. Of a log that was never finished, the whole chunks are
-    taken. Raises LogError if the log cannot be read, UserError if PyAV is not installed, for a log without a
-    picture of the centre camera, if `video` exists and may not be overwritten, or where the disk is full.
+    `overlay` draws instruments below the pictures. An unfinished log is shown up to its last complete chunk.
+    Raises LogError if the log cannot be read; UserError if PyAV is not installed, if the log has no picture of the
+    centre camera, if `video` exists and may not be overwritten, or if the disk is full.
     """
     _require_av()
     check_speed(speed)
@@ -128,7 +128,7 @@ def write_video(
 
 
 def schedule(times_ns: NDArray[np.int64], speed: float) -> Schedule:
-    """The schedule of pictures of these log times (N,), N > 0, in a video that plays `speed` times as fast."""
+    """The schedule of pictures with log times (N,), N > 0, in a video that plays `speed` times as fast."""
     step_s = np.diff(times_ns) / 1e9
     is_gap = (step_s > GAP_S) | (step_s < 0)
     at_s = np.concatenate([[0.0], np.cumsum(np.where(is_gap, HELD_S, step_s))]) / speed
@@ -144,10 +144,10 @@ def schedule(times_ns: NDArray[np.int64], speed: float) -> Schedule:
 
 
 class _Pictures:
-    """The pictures of the centre camera, brought to the size of the video."""
+    """The pictures of the centre camera, resized to the size of the video."""
 
     def __init__(self, log: Log) -> None:
-        """Raises UserError if there is none that decodes."""
+        """Raises UserError if no picture decodes."""
         self.skipped = Skipped()
         self._log = log
         self._index = log.pictures(camera_topic("center"))
@@ -163,7 +163,7 @@ class _Pictures:
             raise UserError(f"{log.path}: pictures of {size} pixels cannot become a video")
 
     def draw(self, number: int, canvas: Image) -> None:
-        """Draw a picture on `canvas` (height, width, 3) BGR; a broken one is counted, and leaves it as it is."""
+        """Draw a picture on `canvas` (height, width, 3) BGR. A broken picture is counted, and `canvas` stays."""
         picture = self._decoded(number)
         if picture is None:
             row = int(self._index.sequence[number])
@@ -182,19 +182,19 @@ class _Pictures:
         place = int(index.offset[number]), int(index.length[number]), int(index.chunk[number])
         try:
             return decode(self._log.read(*place))
-        except (LogError, ValueError):  # its chunk is damaged, or it is no picture
+        except (LogError, ValueError):  # its chunk is damaged, or it is not a picture
             return None
 
 
 class _Mp4:
-    """A video that is being written to `part`, and will be called `name`."""
+    """A video that is being written to the temporary file `part`. Messages name it `name`."""
 
     def __init__(self, part: Path, name: Path, width: int, height: int) -> None:
         av = _require_av()
         self._name = name
         self._new_frame, self._error = av.VideoFrame.from_ndarray, av.FFmpegError
         with self._refused():
-            # the index comes first: a browser begins to play before it has all
+            # faststart: the index comes first, so that a browser can play before it has the whole file
             self._container = av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"})
         self._stream = self._container.add_stream("libx264", rate=TICKS_A_SECOND, options=_ENCODER)
         self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
@@ -204,7 +204,7 @@ class _Mp4:
 
     def add(self, picture: Image, begin: int, end: int) -> None:
         """Add a picture (height, width, 3) BGR, shown from tick `begin` to `end`."""
-        # the conversion of the encoder's own library rounds down: grey would become a dark green
+        # the conversion of the encoder's library rounds down: grey would become dark green
         frame = self._new_frame(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
         frame.pts, frame.time_base = begin, _TICK
         self._ends[begin] = end
@@ -212,7 +212,7 @@ class _Mp4:
 
     def _encode(self, frame: VideoFrame | None) -> None:
         for packet in self._stream.encode(frame):
-            if packet.pts is not None:  # as with pictures it always is
+            if packet.pts is not None:  # always for pictures
                 packet.duration = self._ends.pop(packet.pts) - packet.pts
             with self._refused():
                 self._container.mux(packet)
@@ -241,7 +241,8 @@ class _Mp4:
 
 
 def _video_size(width: int, height: int) -> tuple[int, int]:
-    """The size of a video for pictures of this size: whole times larger or as it is, and even, as H.264 needs."""
+    """The size of a video for pictures of this size: enlarged by a whole number, at most _MAX_SIDE, and even, as
+    H.264 needs."""
     scale = float(max(1, math.ceil(_MIN_WIDTH / width)))
     scale = min(scale, _MAX_SIDE / max(width, height))
     return int(width * scale) // 2 * 2, int(height * scale) // 2 * 2
@@ -251,5 +252,5 @@ def _require_av() -> Any:
     try:
         import av
     except ImportError:
-        raise UserError(f"a video needs PyAV: `{install_line('video')}` brings it") from None
+        raise UserError(f"a video needs PyAV: install it with `{install_line('video')}`") from None
     return av

@@ -20,13 +20,13 @@ Driver = Literal["network", "human", "expert"]
 WHEEL_DEG: Final = 90.0
 """The angle of the wheel on the panel for steering 1."""
 WHEEL_X, WHEEL_Y, WHEEL_RADIUS = 84.0, 82.0, 52.0
-"""The place of the wheel on a panel of 640 x 160."""
-# As in the viewer's curves
+"""The position of the wheel on a panel of 640 x 160."""
+# colours of the viewer's curves
 RECORDED: Final[Color] = (255, 160, 120)
 PREDICTED: Final[Color] = (60, 160, 255)
 
-_WIDTH, _HEIGHT = 640, 160  # on which everything here is laid out
-_SHIFT: Final = 4  # OpenCV's coordinates have so many bits behind the point
+_WIDTH, _HEIGHT = 640, 160  # the panel size of all coordinates in this file
+_SHIFT: Final = 4  # fractional bits of OpenCV's coordinates
 _BACKGROUND: Final[Color] = (34, 30, 28)
 _EDGE: Final[Color] = (58, 52, 48)
 _TRACK: Final[Color] = (66, 60, 56)
@@ -38,14 +38,14 @@ _RED: Final[Color] = (90, 90, 230)
 
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _BAR_LEFT, _BAR_RIGHT = 276.0, 444.0
-_MAX_MPH: Final = 999.0  # there is room for it
+_MAX_MPH: Final = 999.0  # the largest number that fits
 _SPEED_Y, _THROTTLE_Y, _BRAKE_Y = 80.0, 104.0, 128.0
 _DRIVER_COLORS: Final[dict[Driver, Color]] = {"network": PREDICTED, "expert": _GREEN, "human": RECORDED}
 
 
 @dataclass(frozen=True)
 class Reading:
-    """The values of the instruments at one moment; for NaN an instrument stays empty."""
+    """The values of the instruments at one moment; NaN leaves an instrument empty."""
 
     time_s: float  # since the log began
     steering: float = math.nan  # as driven, -1 (left) .. 1 (right)
@@ -59,10 +59,10 @@ class Reading:
 
 
 class Panel:
-    """Draws readings on panels of one width, which are a quarter as high."""
+    """Draws readings on panels of one width. The height is a quarter of it."""
 
     def __init__(self, width: int, top_mph: float, max_steering_deg: float | None = MAX_STEERING_DEG) -> None:
-        """`top_mph` is where the bar of the speed ends, `max_steering_deg` the wheels' angle at steering 1."""
+        """`top_mph` is the end of the speed bar, `max_steering_deg` the wheels' angle at steering 1."""
         self._unit = steering_unit(max_steering_deg)
         self._full = self._unit.of(assumed_deg(max_steering_deg))
         self.width, self.height = width, max(2, width * _HEIGHT // _WIDTH // 2 * 2)
@@ -72,7 +72,7 @@ class Panel:
         self._empty = self._drawn_empty()
 
     def draw(self, reading: Reading) -> Image:
-        """The panel, (height, width, 3) BGR; drawn over by the next call."""
+        """The panel (height, width, 3) BGR. The next call overwrites it."""
         np.copyto(self._canvas, self._empty)
         self._draw_steering(reading)
         self._draw_speed(reading)
@@ -150,7 +150,8 @@ class Panel:
     def _text(
         self, text: str, x: float, y: float, height: float, color: Color, *, is_right: bool = False
     ) -> float:
-        """Write from `x`, or up to it; where the text ends. `height` is that of a line."""
+        """Write text from `x`, or with `is_right` up to `x`. Returns the right end of the text. `height` is the
+        height of a line."""
         size, thickness = height * self._scale / 30, self._thickness(1)
         width = cv2.getTextSize(text, _FONT, size, thickness)[0][0] / self._scale
         left = x - width if is_right else x
@@ -176,7 +177,7 @@ class Panel:
 
 
 def clock(time_s: float) -> str:
-    """0:07.5, 12:03.4 or 1:02:03.4."""
+    """The time as text: 0:07.5, 12:03.4 or 1:02:03.4."""
     tenths = round(time_s * 10)
     minutes, tenths = divmod(tenths, 600)
     hours, minutes = divmod(minutes, 60)
@@ -189,6 +190,6 @@ def _clamped(steering: float) -> float:
 
 
 def _on_wheel(turned_deg: float, radius: float) -> tuple[float, float]:
-    """A point on the panel, at so many degrees clockwise from the wheel's top."""
+    """The point on the panel at `turned_deg` degrees clockwise from the wheel's top."""
     angle = math.radians(turned_deg)
     return WHEEL_X + radius * math.sin(angle), WHEEL_Y - radius * math.cos(angle)

@@ -26,10 +26,10 @@ _MIN_TOP_MPH, _MAX_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
 
 
 class Readings:
-    """The vehicle states and commands of a log by time: 40 bytes each."""
+    """The vehicle states and commands of a log by time, 40 bytes each."""
 
     def __init__(self, log: Log) -> None:
-        """Raises LogError where the log is damaged."""
+        """Raises LogError if the log is damaged."""
         self._begin_ns = log.time_range_ns[0]
         self._states, self._commands = _Rows(4), _Rows(3)
         for message, state in log.vehicle_states():
@@ -37,20 +37,20 @@ class Readings:
         for message, command in log.commands():
             values = command.predicted_steering, command.set_speed_mph, command.driver
             self._commands.add(message.log_time_ns, *values)
-        # a session of the built-in simulator; in a drive, each command names the driver
         self.max_steering_deg = known_max_steering_deg(log)
         """The wheels' angle at steering 1; None: unknown."""
+        # the driver of a session of the built-in simulator; in a drive, each command names the driver
         self._driver: Driver | None = "expert" if log.metadata.get("driver") == "expert" else None
         self._autonomy_percent = _percent(log.read_metadata(DRIVE_METADATA).get("autonomy_percent", ""))
 
     @property
     def top_mph(self) -> float:
-        """The speed at which its bar should end."""
+        """The end of the speed bar."""
         top = max(_MIN_TOP_MPH, min(self._states.largest(3), _MAX_TOP_MPH))
         return 10.0 * math.ceil(top / 10)
 
     def at(self, time_ns: int) -> Reading:
-        """The readings at a log time: those of its picture, or else the last before, up to a second old."""
+        """The readings at a log time: the last values until then, at most a second old."""
         steering, throttle, brake, speed_mph = self._states.at(time_ns)
         predicted, set_speed_mph, driver = self._commands.at(time_ns)
         return Reading(
@@ -67,7 +67,7 @@ class Readings:
 
 
 class _Rows:
-    """Rows of `width` numbers at times."""
+    """Rows of `width` numbers, each with a time."""
 
     def __init__(self, width: int) -> None:
         self._width = width
@@ -78,7 +78,7 @@ class _Rows:
         self._numbers.extend(values)
 
     def at(self, time_ns: int) -> list[float]:
-        """The last row at that time or at most `GAP_S` before it; NaN if there is none."""
+        """The last row at `time_ns` or up to `GAP_S` before it; NaN without such a row."""
         times_ns, values = self._sorted
         place = int(np.searchsorted(times_ns, time_ns, "right")) - 1
         if place < 0 or time_ns - int(times_ns[place]) > GAP_S * 1e9:
@@ -87,21 +87,21 @@ class _Rows:
         return row
 
     def largest(self, column: int) -> float:
-        """The largest finite number of a column; 0 if there is none above."""
+        """The largest finite number of a column, but at least 0."""
         _, values = self._sorted
         numbers = values[:, column]
         return float(np.max(numbers[np.isfinite(numbers)], initial=0.0))
 
     @cached_property
     def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The rows in the order of time: none may be added any more."""
+        """The rows in the order of time, cached: no row may be added after this."""
         times_ns = np.array(self._times_ns, np.int64)
         order = np.argsort(times_ns, kind="stable")
         return times_ns[order], np.array(self._numbers, np.float64).reshape(-1, self._width)[order]
 
 
 def _percent(text: str) -> float:
-    """A percentage in a log's metadata; NaN if it is none."""
+    """A percentage in a log's metadata; NaN if the text is not a percentage."""
     try:
         value = float(text)
     except ValueError:

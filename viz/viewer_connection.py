@@ -1,4 +1,4 @@
-"""Another viewer, which runs already: whether one listens at an address, and of which version it is."""
+"""Connect to a running viewer: check that it listens at an address and that its version fits."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from viz.timelines import SINCE_START
 from viz.viewer_process import LOCAL
 
 DEFAULT_PORT: Final = 9876
-"""On which Rerun's viewer listens."""
+"""The default port of Rerun's viewer."""
 
-_PATIENCE_S: Final = 10.0  # a machine may be slow, and busy
+_PATIENCE_S: Final = 10.0  # for a slow and busy machine
 _POLL_S: Final = 0.1
 _PORT: Final = re.compile(r"\d{1,5}")
 _PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
 
 
 def viewer_url(address: str) -> str:
-    """Rerun's URL of a viewer at "PORT", "HOST:PORT" or a URL of Rerun's own; empty: on its own port, here.
+    """Rerun's URL of a viewer. `address` is "PORT", "HOST:PORT" or a Rerun URL; empty: the default port on this
+    machine.
 
     Raises UsageError for anything else.
     """
@@ -40,26 +41,26 @@ def viewer_url(address: str) -> str:
         if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
             return address
     raise UsageError(
-        f"--connect {address}: no address of a viewer, which is HOST:PORT, or PORT on this machine, such as"
+        f"--connect {address}: HOST:PORT, or PORT on this machine, was expected, for example"
         f" {LOCAL}:{DEFAULT_PORT}"
     )
 
 
 def check_viewer(url: str) -> str:
-    """Check that a Rerun viewer of our version listens at `url`. Return a notice if it does not give its version,
-    else "". Rerun itself would wait for five seconds, and find out nothing.
+    """Check that a Rerun viewer of the right version listens at `url`. Returns a notice if the viewer does not
+    give its version, else "". Rerun itself would only wait for five seconds.
 
-    Raises UserError otherwise.
+    Raises UserError if no viewer listens, or if its version differs.
     """
     where = urlsplit(url).netloc
     _refuse_others(url, where)
-    needed = f"version {rr.__version__} is needed: open it with `rerun` of the environment that bc-play is in"
+    needed = f"version {rr.__version__} is needed: open it with `rerun` of bc-play's environment"
     try:
         version = _version(url)
-    except (OSError, RuntimeError) as error:  # a ConnectionError or a TimeoutError, both of OSError
+    except (OSError, RuntimeError) as error:  # OSError: ConnectionError or TimeoutError
         if "Unimplemented" not in str(error):
             raise UserError(f"{where}: the viewer does not answer; open another one with `rerun`") from None
-        # servers of `rerun --serve-web`, and viewers of long ago
+        # servers of `rerun --serve-web`, and old viewers
         return f"{where}: its version is unknown; {needed}"
     if version is not None and version.split(".")[:2] != rr.__version__.split(".")[:2]:
         raise UserError(f"{where}: a viewer of version {version}, but {needed}")
@@ -67,9 +68,8 @@ def check_viewer(url: str) -> str:
 
 
 def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
-    """Put the time cursor of the viewer at `url` to `at_s` seconds after the start of the data and hold it
-    there, as soon as the viewer has got that; not if `stop` is set before. A server for browsers has
-    no cursor to set: it plays as the layout is set."""
+    """Wait until the viewer at `url` has the data, then set its time cursor to `at_s` seconds after the start, and
+    pause it. Returns early if `stop` is set. A server for browsers has no cursor: its layout plays in a loop."""
     from rerun.experimental import ViewerClient
 
     client = ViewerClient.connect(url)
@@ -81,7 +81,7 @@ def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threadi
                 if name is not None and shown.store_id.endswith(name) and SINCE_START in times:
                     client.set_time(SINCE_START, duration=at_s, play_state="paused", recording=shown.store_id)
                     return
-    except (OSError, RuntimeError):  # it has no cursor to set, or is closed
+    except (OSError, RuntimeError):  # the viewer has no cursor, or is closed
         return
 
 
@@ -96,17 +96,17 @@ def _refuse_others(url: str, where: str) -> None:
     try:
         connection = socket.create_connection((place.hostname or LOCAL, place.port or DEFAULT_PORT), _PATIENCE_S)
     except (OSError, OverflowError, ValueError):
-        raise UserError(f"{where}: no viewer listens there; open one with `rerun --port PORT`") from None
+        raise UserError(f"{where}: no viewer listens; open one with `rerun --port PORT`") from None
     with connection:
         try:
             is_viewer = speaks_grpc(connection)
         except TimeoutError:
             raise UserError(
-                f"{where}: no answer: the viewer is frozen, or another program listens there"
+                f"{where}: no answer: the viewer is frozen, or another program listens on this port"
             ) from None
         except OSError:
             is_viewer = False
     if not is_viewer:
         raise UserError(
-            f"{where}: the program that listens there is not a Rerun viewer; open one with `rerun --port PORT`"
+            f"{where}: the program on this port is not a Rerun viewer; open one with `rerun --port PORT`"
         )

@@ -1,4 +1,4 @@
-"""The Rerun viewer as a process of its own, listening on this machine only."""
+"""The Rerun viewer as a separate process that listens only on this machine."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from viz.console import browser_hint
 
 LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
-"""Rerun's log level where data is sent: a viewer that is closed while it receives some is no error."""
+"""Rerun's log level in the sending process: closing a viewer while it receives data is not an error."""
 
 _PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
-_GRACE_S: Final = 1.0  # a frozen process does not hear that it shall end
-_LAST_WORDS_S: Final = 5.0  # for what has ended to be read; children of it may still hold its stderr
-# The viewer's messages when it ends because there is no graphics adapter, or no display.
+_GRACE_S: Final = 1.0  # then a process that ignores SIGTERM, because it is frozen, is killed
+_LAST_WORDS_S: Final = 5.0  # time limit to read the stderr of an ended viewer; its children may still hold it
+# the viewer's messages if it ends without a graphics adapter, or without a display
 _NO_GRAPHICS: Final = re.compile(rb"wgpu error|graphics adapter|surface for any enabled backend", re.IGNORECASE)
 _NO_WINDOW: Final = re.compile(rb"EventLoopError")
 
@@ -52,7 +52,7 @@ class Ports:
 
 
 def viewer_program() -> Path:
-    """The viewer itself. `rerun` is a Python wrapper, and killing that would leave the viewer alone."""
+    """The path of the viewer. `rerun` is only a Python wrapper: killing it would not end the viewer."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     return Path(rerun_cli.__file__).parent / name
 
@@ -64,7 +64,8 @@ def free_port() -> int:
 
 
 class Viewer(subprocess.Popen[bytes]):
-    """The process of a viewer. Its output is printed, except why it cannot draw: see `failure_reason`."""
+    """The process of a viewer. Its output is printed, except messages that explain why it cannot draw: see
+    `failure_reason`."""
 
     def __init__(self, line: list[str], environment: dict[str, str]) -> None:
         super().__init__(line, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment)
@@ -73,7 +74,7 @@ class Viewer(subprocess.Popen[bytes]):
         self._reader.start()
 
     def failure_reason(self) -> str:
-        """Explains why a viewer that has ended could not draw, and what helps; empty if it failed otherwise."""
+        """The reason why an ended viewer could not draw, and the remedy; empty if it failed for another reason."""
         self._reader.join(_LAST_WORDS_S)
         return self._failure_reason
 
@@ -84,8 +85,8 @@ class Viewer(subprocess.Popen[bytes]):
             for line in lines:
                 if _NO_GRAPHICS.search(line):
                     self._failure_reason = (
-                        "finds no graphics driver to draw with; without a graphics card, Debian's and Ubuntu's"
-                        " package mesa-vulkan-drivers draws in software (`sudo apt install mesa-vulkan-drivers`)"
+                        "finds no graphics driver; without a graphics card, Debian's and Ubuntu's package"
+                        " mesa-vulkan-drivers draws in software (`sudo apt install mesa-vulkan-drivers`)"
                     )
                 elif _NO_WINDOW.search(line):
                     self._failure_reason = self._failure_reason or "cannot open a window on this display"
@@ -121,7 +122,7 @@ def open_viewer(
 
 
 def end_viewer(viewer: subprocess.Popen[bytes]) -> None:
-    """End the viewer, also one that is frozen; one that has ended stays so."""
+    """End the viewer, even if it is frozen. Does nothing if it has already ended."""
     viewer.terminate()
     try:
         viewer.wait(_GRACE_S)
@@ -131,7 +132,8 @@ def end_viewer(viewer: subprocess.Popen[bytes]) -> None:
 
 
 def wait_until_it_listens(viewer: Viewer, url: str) -> None:
-    """Until data can be sent to it; before that, Rerun waits seconds. Raises UserError if it does not start."""
+    """Wait until the viewer receives data; without this, Rerun itself would wait for seconds. Raises UserError if
+    the viewer does not start."""
     port = urlsplit(url).port
     deadline_s = time.monotonic() + _PATIENCE_S
     while time.monotonic() < deadline_s:
@@ -145,7 +147,7 @@ def wait_until_it_listens(viewer: Viewer, url: str) -> None:
 
 
 def wait_until_closed(viewer: Viewer) -> None:
-    """Raises UserError if the viewer ends otherwise than by being closed."""
+    """Wait until the viewer is closed. Raises UserError if it ends for another reason."""
     code = viewer.wait()
     if code:
         end = f"was killed (signal {-code})" if code < 0 else f"failed (exit code {code})"
@@ -159,6 +161,6 @@ def _refuse_taken(port: int) -> None:
         socket.create_server((LOCAL, port)).close()
     except (OSError, OverflowError) as error:
         raise UserError(
-            f"port {port} cannot be listened on ({error}): end the program that uses it, perhaps a viewer,"
-            " or give bc-play others: --port, --web-port"
+            f"port {port} cannot be used ({error}): end the program that uses it, perhaps a viewer, or give"
+            " bc-play other ports: --port, --web-port"
         ) from None

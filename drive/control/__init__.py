@@ -1,1 +1,1 @@
-"""From a telemetry to a command: picture, the network's steering, speed, brake, takeover."""
+"""From a telemetry message to a command: picture, the network's steering, speed, brake, takeover."""

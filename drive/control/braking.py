@@ -1,4 +1,4 @@
-"""The emergency brake: full brake for as long as the car needs to stop, and no longer."""
+"""The emergency brake: full brake exactly as long as the car needs to stop."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from common.car import MPS_PER_MPH
 from simulator.driving.vehicle import BRAKE_MPS2, TOP_SPEED_MPS, resistance_mps2
 
 WALKING_MPH: Final = 1.0
-"""At this speed or below, a car is not braked any more: a negative throttle would soon reverse it."""
+"""At this speed or below, the brake ends: a negative throttle would soon reverse the car."""
 
 
 def stopping_s(speed_mph: float) -> float:
     """The seconds that a full brake takes to stop the car.
 
-    The deceleration is that of the built-in simulator's car at this speed, brakes and resistance: 6.5 m/s² at
-    10 mph. The real simulator's car brakes with locked wheels, at least as hard. The time is thus rather too
-    short than too long: a car that still rolls a little comes to rest by itself, but one that stands is reversed
-    by a negative throttle, and in both simulators it keeps its last command for ever.
+    The deceleration is that of the built-in simulator's car at this speed, from brakes and resistance: 6.5 m/s² at
+    10 mph. Udacity's car brakes with locked wheels, at least as hard. The time is too short rather than too long:
+    a car that still rolls slowly stops by itself, but a negative throttle reverses a standing car, and both
+    simulators repeat the last command for ever.
     """
     speed_mps = min(max(speed_mph * MPS_PER_MPH, 0.0), TOP_SPEED_MPS)
     return speed_mps / (BRAKE_MPS2 + resistance_mps2(speed_mps))
 
 
 class EmergencyBrake:
-    """Full brake from its first `throttle()` on, until the car must stand; then nothing, until `release()`.
+    """Full brake from the first `throttle()` until the car must stand; then throttle 0 until `release()`.
 
-    The car stands when its speed is about 0, else after the time that the brakes need from the last known speed,
-    or from the top speed if none is known, by which a car that stood is reversed for two seconds. The speed of the
-    real simulator has no sign: only one that is lower than all before shows that there is more to be braked. A car
-    that does not get slower, or was stopped once, may be rolling backwards, and a brake would speed it up.
+    The car stands when its speed is about 0, or after the time that the brakes need from the last known speed. If
+    no speed is known, from the top speed; this reverses a standing car for two seconds. Udacity's speed has no
+    sign, so only a new lowest speed extends the brake: a car that gets no slower, or that has stopped once, may be
+    rolling backwards, and the brake would speed it up.
     """
 
     def __init__(self) -> None:

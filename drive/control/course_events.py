@@ -11,7 +11,7 @@ PUT_BACK: Final = "off the road, or stuck: the simulator put the car back"
 
 
 class CourseEvents:
-    """Compares each telemetry's world with those before it; the first one makes no event."""
+    """Compares the world of each telemetry message with earlier ones. The first one gives no event."""
 
     def __init__(self) -> None:
         self._interventions: int | None = None
@@ -28,6 +28,6 @@ class CourseEvents:
             whole_laps = math.floor(world.laps)
             if self._whole_laps is not None and whole_laps > self._whole_laps:
                 events.append(f"lap {whole_laps}")
-            # the most so far: a line that is crossed backwards and again is one lap
+            # the maximum so far: a line that is crossed backwards and again counts one lap
             self._whole_laps = max(whole_laps, self._whole_laps or 0)
         return events

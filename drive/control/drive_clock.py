@@ -1,4 +1,4 @@
-"""The clock of a drive: the simulator's own where it sends one, else this computer's."""
+"""The clock of a drive: the simulator's if it sends its time, else this computer's."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from recorder.server.world import World
 
 
 class DriveClock:
-    """Seconds since the first telemetry; they never go back.
+    """Seconds since the first telemetry message. The clock never goes back.
 
-    Between two telemetries that both hold the simulated time, that time passes, unless it jumps; between any
-    others, the time of this computer. So a drive in lock-step is the same on slow and fast computers, and one
-    telemetry with another clock, or with none, does not move the drive's clock by hours. A simulated clock that
-    stands still while this computer's runs on is not used.
+    If two successive messages have the simulated time, the clock advances by their difference, unless that time
+    jumps. Else it advances by this computer's time. So a drive in lock-step is the same on slow and fast
+    computers, and a message with another clock, or without one, does not move the clock by hours. A simulated
+    clock that stands still while this computer's clock runs is ignored.
     """
 
     def __init__(self) -> None:
@@ -23,18 +23,18 @@ class DriveClock:
         self.safety_s = 0.0
         """Seconds. Each step is the longer one of both clocks, so that neither delays a brake or its release."""
         self.missed_s = 0.0
-        """Seconds to be added at the last telemetry: a clock that proved to stand still had counted them as
-        none."""
+        """Seconds to add at the last message: a simulated clock that proved to stand still had not counted
+        them."""
         self.is_simulated = False
-        """True if the time before the last telemetry is the simulator's."""
+        """True if the last step was by the simulator's clock."""
 
     @property
     def stands(self) -> bool:
-        """True once the simulator's clock has proved to stand still."""
+        """True after the simulator's clock has proved to stand still."""
         return self._standing.stands
 
     def advance(self, now_s: float, world: World | None) -> float:
-        """The drive's time of a telemetry that came at `now_s` of a monotonic clock."""
+        """The drive's time of a telemetry message that arrived at `now_s` of a monotonic clock."""
         world_s = None if world is None else world.time_s
         passed_s = min_s = 0.0 if self._now_s is None else now_s - self._now_s
         self.is_simulated = False

@@ -1,4 +1,4 @@
-"""The driver: each telemetry is decoded, cropped, given to the network and answered by a command."""
+"""The driver: decodes each telemetry message, crops the picture, runs the network, and answers with a command."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from recorder.server.world import World, WorldNotices
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 MIN_AHEAD_S: Final = 0.5
-"""A car does not change its speed at once, also where the network answers the one that was driven at the
-picture."""
+"""Minimum time to reach an answered speed: a car cannot change its speed at once, even if the network answers the
+speed at the picture."""
 
 UNUSABLE_S: Final = 1.0
-"""While nothing usable comes, the car rolls on for so long, steered as before; then it is braked."""
+"""Without usable telemetry, the car rolls on for this time, steered as before; then it is braked."""
 
 NO_NUMBER: Final = "the network gave no number"
 NOTHING_USABLE: Final = f"nothing usable for {UNUSABLE_S:g} s"
@@ -39,32 +39,32 @@ NOTHING_USABLE: Final = f"nothing usable for {UNUSABLE_S:g} s"
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer to one telemetry, and how it came about.
+    """The answer to one telemetry message, and its origin.
 
-    `telemetry` and `crop` are None where the telemetry could not be used; `problem` says why. Where the network
-    gave no number there is a `problem` too, but nothing was wrong with the telemetry: both are there.
+    If the message could not be used, `telemetry` and `crop` are None, and `problem` is the reason. If the network
+    gave no number, there is a `problem`, too, but `telemetry` and `crop` are given.
     """
 
     steering: float  # -1..1, as sent
     throttle: float  # -1..1, as sent
     decimal_separator: str = POINT
-    driver: Literal["pilot", "human", "expert", "brake"] = "pilot"  # the one whose throttle was sent
-    device: Device | None = None  # what a human steers with
-    speed_mph: float | None = None  # the car's, also where nothing else of the telemetry could be used
+    driver: Literal["pilot", "human", "expert", "brake"] = "pilot"  # the source of the throttle
+    device: Device | None = None  # of a human driver
+    speed_mph: float | None = None  # of the car; may be known even if the message could not be used
     telemetry: Telemetry | None = None
-    picture_size: tuple[int, int] | None = None  # width, height; None where the telemetry could not be used
+    picture_size: tuple[int, int] | None = None  # width, height; None if the message could not be used
     crop: Image | None = None
     predicted_steering: float = 0.0  # the network's, also while the expert drives; not clamped, may be NaN
-    predicted_speed_mph: float | None = None  # the same; None: it has no such output
-    predicted_throttle: float | None = None
-    parse_ms: float = 0.0  # until the telemetry's numbers are read
-    decode_ms: float = 0.0  # the picture and its crop
+    predicted_speed_mph: float | None = None  # the network's; None: it does not answer the speed
+    predicted_throttle: float | None = None  # the network's; None: it does not answer the throttle
+    parse_ms: float = 0.0  # time to read the numbers of the message
+    decode_ms: float = 0.0  # time to decode and crop the picture
     network_ms: float = 0.0
-    set_speed_mph: float = 0.0  # lower than the configured one where the network, or a curve, wants less
+    set_speed_mph: float = 0.0  # lower than the configured one if the network, or a curve, needs less
     problem: str = ""
-    kind: str = ""  # of problem: equal for all that differ only in their values
-    events: tuple[str, ...] = ()  # that happened with this telemetry
-    in_flight: int = 1  # telemetries, this one included
+    kind: str = ""  # of the problem: equal for problems that differ only in their values
+    events: tuple[str, ...] = ()  # that happened with this message
+    in_flight: int = 1  # messages, including this one
 
 
 class Driver:
@@ -77,7 +77,7 @@ class Driver:
         reported_size: bool = False,
     ) -> None:
         self.reported_size = reported_size
-        """True once the size of pictures of another size than usual has been reported."""
+        """True after an unusual size of pictures has been reported."""
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
@@ -90,20 +90,20 @@ class Driver:
         self._person = person
         self._course = CourseEvents()
         self._steering = 0.0
-        self._speed_mph: float | None = None  # the last known one
-        self._decimal_separator: str | None = None  # the last known one
+        self._speed_mph: float | None = None  # the last known speed
+        self._decimal_separator: str | None = None  # the last known separator
         self._unusable_since_s: float | None = None
         self._gave_number = True
         self._world_notices = WorldNotices()
 
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
-        """The command that answers a telemetry: a message's data, or a `Telemetry` whose numbers are good.
+        """The command that answers a telemetry message: its data, or a `Telemetry` with valid numbers.
 
-        `received_s` is the `time.perf_counter()` from which on it is handled; `now_s` is the time of a
-        monotonic clock, for smoothing where the simulator does not send its own time, and always for braking.
+        `received_s` is the `time.perf_counter()` at the arrival of the message. `now_s` is the time of a monotonic
+        clock: for braking, and for smoothing if the simulator does not send its time.
 
-        Never raises, because an unanswered telemetry would stop the simulator's loop for good. Where one cannot be
-        used, the steering is kept and the throttle let go; after `UNUSABLE_S` of nothing else the car is braked.
+        Never raises, because the simulator would wait for ever for an answer. If a message cannot be used, the
+        steering stays and the throttle is 0; after `UNUSABLE_S` without a usable message, the car is braked.
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
@@ -125,7 +125,7 @@ class Driver:
             decision = self._answer_by_network(telemetry, parsed_s, time_s)
         if events := self._world_events(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
-        if self._person is not None:  # as late as can be: the newest controls count
+        if self._person is not None:  # last, so that the newest controls count
             decision = self._with_person(decision, self._person, time_s)
         if self._last_brake is not None:
             throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
@@ -134,11 +134,11 @@ class Driver:
         return replace(decision, speed_mph=speed_mph, parse_ms=(parsed_s - received_s) * 1e3)
 
     def stop(self) -> None:
-        """From now on the car is braked to a stand, and steered as before meanwhile."""
+        """Brake the car to a stand from now on, with the steering as before."""
         self._last_brake = EmergencyBrake()
 
     def brake_without_telemetry(self, now_s: float | None = None) -> tuple[float, float]:
-        """Steering and throttle after `stop`, while no telemetry comes: it brakes, and then lets go."""
+        """Steering and throttle after `stop`, while no telemetry comes: full brake, then throttle 0."""
         self._clock.advance(time.monotonic() if now_s is None else now_s, None)
         if self._last_brake is None:
             return self._steering, 0.0
@@ -151,12 +151,12 @@ class Driver:
             self._decimal_separator = decimal_separator
 
     def _world_events(self, world: World | None, problems: Sequence[str]) -> list[str]:
-        """The course's events, and notices about members of the world that cannot be used."""
+        """The events of the course, and notices about invalid members of the world."""
         events = [] if world is None else self._course.update(world)
         return events + self._world_notices.new_notices(problems, clock_stands=self._clock.stands)
 
     def _answer_by_network(self, telemetry: Telemetry, parsed_s: float, time_s: float) -> Decision:
-        """The answer to a telemetry whose numbers are good; its picture may prove unusable here."""
+        """The answer to a telemetry message with valid numbers. Its picture may still be unusable."""
         try:
             picture, size = camera_picture(telemetry.picture)
         except TelemetryError as error:
@@ -173,7 +173,7 @@ class Driver:
         if picture.shape[:2] != USUAL_SIZE and not self.reported_size:
             self.reported_size = True
             height, width = picture.shape[:2]
-            events = (*events, f"pictures of {width}x{height} pixels, not 320x160: driven on all the same")
+            events = (*events, f"pictures of {width}x{height} pixels, not 320x160: used nevertheless")
         return replace(
             decision,
             telemetry=telemetry,
@@ -193,21 +193,21 @@ class Driver:
             events.append("the brakes are released")
         self._brake.release()
         self._unusable_since_s, self._gave_number = None, True
-        wanted = min(max(answer.steering, -1.0), 1.0)
+        predicted = min(max(answer.steering, -1.0), 1.0)
         if self._takeover is not None:
-            events += self._takeover.update(time_s, telemetry.world, wanted)
+            events += self._takeover.update(time_s, telemetry.world, predicted)
         expert = None if telemetry.world is None else telemetry.world.expert
         if self._takeover is not None and self._takeover.expert_drives and expert is not None:
             steering, throttle = expert
             self._filter.override(time_s, steering)
         else:
-            steering = self._filter.apply(time_s, wanted)
+            steering = self._filter.apply(time_s, predicted)
             throttle = self._throttle(telemetry, answer, steering, time_s)
         target_mph = math.inf if answer.speed_mph is None else answer.speed_mph
         return self._decision(steering, throttle, events=events, target_mph=target_mph)
 
     def _with_person(self, decision: Decision, person: PersonTakeover, time_s: float) -> Decision:
-        """The decision, or in its place the command of the person at the wheel."""
+        """The decision, replaced by the command of the person at the wheel while the person drives."""
         events = (*decision.events, *person.update())
         if not person.person_drives:
             return replace(decision, events=events)
@@ -219,22 +219,23 @@ class Driver:
         )
 
     def _throttle(self, telemetry: Telemetry, answer: NetworkAnswer, steering: float, time_s: float) -> float:
-        """By the speed; where that is unknown, the expert's, if the simulator sends it.
+        """The throttle for the car's speed. If the speed is unknown: the expert's if the simulator sends it, else
+        0.
 
-        The network's own throttle is sent as it is while it does not bring the car above the set speed.
+        The network's own throttle is limited so that the car stays at or below the set speed.
         """
         speed_mph = telemetry.speed_mph
         if math.isfinite(speed_mph):
             if answer.speed_mph is not None:
                 return self._speed.follow(time_s, speed_mph, answer.speed_mph, steering)
             if answer.throttle is not None:
-                return self._speed.follow(time_s, speed_mph, math.inf, steering, at_most=answer.throttle)
+                return self._speed.follow(time_s, speed_mph, math.inf, steering, max_throttle=answer.throttle)
             return self._speed.throttle(speed_mph, steering)
         expert = None if telemetry.world is None else telemetry.world.expert
         return 0.0 if expert is None else expert[1]
 
     def _answer_unusable(self, problem: TelemetryError, time_s: float) -> Decision:
-        """The answer to a telemetry that cannot be used: it rolls on, and brakes after `UNUSABLE_S`."""
+        """The answer to an unusable telemetry message: the car rolls on, and brakes after `UNUSABLE_S`."""
         now_s = self._clock.safety_s
         if self._unusable_since_s is None:
             self._unusable_since_s = now_s
@@ -244,7 +245,7 @@ class Driver:
         return self._answer_braking(str(problem), problem.kind, time_s, f"{NOTHING_USABLE}: ")
 
     def _answer_without_number(self, time_s: float) -> Decision:
-        """The answer where the network gave NaN: it brakes at once, for the network may never recover."""
+        """The answer if the network gave NaN: brake at once, because the network may never recover."""
         is_first, self._gave_number = self._gave_number, False
         decision = self._answer_braking(NO_NUMBER, NO_NUMBER, time_s)
         return replace(decision, events=(NO_NUMBER, *decision.events)) if is_first else decision
@@ -279,5 +280,5 @@ class Driver:
 
 def _braking_text(speed_mph: float | None) -> str:
     if speed_mph is None:
-        return "the car is braked, as from its top speed: its own is unknown"
+        return "the car is braked as from its top speed, because its speed is unknown"
     return "the car stands" if speed_mph <= WALKING_MPH else "the car is braked"

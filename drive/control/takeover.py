@@ -1,5 +1,5 @@
-"""The takeovers: the simulator's expert drives where the network leaves the lane, a person at the first touch of
-a key, stick or wheel."""
+"""The takeovers: by the simulator's expert when the network leaves the lane, by a person at the first touch of a
+key, stick or wheel."""
 
 from __future__ import annotations
 
@@ -12,36 +12,38 @@ from recorder.server.world import World
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
-# Tried with networks that fail for seconds at a time, on three tracks: no takeover came too late at 10 and 15 mph,
-# one in thirteen at 20. By the offset alone, from 0.7 of the half width on, it was one in eight at 15, half at 20.
+# Measured on three tracks with networks that fail for seconds at a time: no takeover was too late at 10 and 15
+# mph, one in thirteen at 20 mph. With the offset alone (0.7 of the half width), one in eight at 15 mph, half at 20
+# mph.
 TAKE_OVER_OFFSET: Final = 0.9
-"""The expert takes over where the car's middle would be farther from the centre line than this share of the half
-width (at 1 the simulator puts the car back) ..."""
+"""The expert takes over if the car's middle will be farther from the centre line than this share of the half width
+after `TAKE_OVER_AHEAD_S`. At 1, the simulator puts the car back."""
 TAKE_OVER_AHEAD_S: Final = 0.7
-"""... after this time, moving sideways as it does. The expert needs as long to catch it: a command takes hold one
-telemetry and 0.1 s of steering lag later, and then wheels and car must turn before the car comes back."""
+"""The offset is extrapolated by this time at its present rate. The expert needs this time to catch the car: a
+command takes effect one message and 0.1 s of steering lag later, and then wheels and car must turn."""
 
 HAND_BACK_OFFSET: Final = 0.3
-"""It hands back no farther out than this: it comes back to 0.15 even in a hairpin."""
+"""The largest offset at which the expert hands back. It returns to 0.15 even in a hairpin."""
 HAND_BACK_STEERING: Final = 0.2
-"""The largest difference between the network's steering and the expert's: 5 degrees, a correction and no turn."""
+"""The largest difference between the network's and the expert's steering for handing back: 5 degrees, a
+correction."""
 HAND_BACK_S: Final = 1.0
-"""Both must hold for so long without a break: a car that only crosses the middle is through sooner."""
+"""Both conditions must hold for this time without a break: a car that only crosses the middle does so faster."""
 
 REQUIRED_MEMBERS: Final = ("offset", "expert_steering", "expert_throttle")
-"""The members of a simulator's world without which no expert can take over."""
+"""The members of a simulator's world that the expert needs to take over."""
 
 MISSING_S: Final = 1.0
-"""The time until a notice that they are missing: some simulators send them from the second telemetry on."""
+"""The time until a notice of missing members: some simulators send them only from the second message on."""
 
 PILOT_DRIVES: Final = "the pilot drives again"
 TAKES_OVER: Final = "a person takes over"
 NOBODY: Final = "nobody is at the wheel: the network drives on"
-_LONGEST_GAP_S: Final = 0.5  # between two telemetries that give a sideways speed
+_LONGEST_GAP_S: Final = 0.5  # between two messages that give a sideways speed
 
 
 class Takeover:
-    """Chooses the driver: the expert takes over before the car is off the road, and hands back once it is
+    """Chooses the driver: the expert takes over before the car leaves the road, and hands back when the car is
     steady."""
 
     def __init__(self) -> None:
@@ -52,8 +54,8 @@ class Takeover:
         self._reported_missing = False
 
     def update(self, time_s: float, world: World | None, predicted_steering: float) -> list[str]:
-        """Choose the driver from `time_s` on, and return the events of that. `time_s` is by the simulator's clock
-        where it sends one. Where the world lacks the car's offset or the expert's command, the network drives."""
+        """Choose the driver from `time_s` on. Returns the events. `time_s` is by the simulator's clock if it sends
+        its time. If the world lacks the car's offset or the expert's command, the network drives."""
         if world is None or world.offset is None or world.expert is None:
             self._last = None
             return self._without_expert(time_s, world)
@@ -66,14 +68,14 @@ class Takeover:
             return []
         self.expert_drives, self._hand_back_since_s = True, None
         side = "left" if ahead > 0 else "right"
-        return [f"the expert takes over: {abs(world.offset):.2f} of the half width, and going off to the {side}"]
+        return [f"the expert takes over: {abs(world.offset):.2f} of the half width, and moving off to the {side}"]
 
     def _sideways_per_s(self, time_s: float, offset: float, interventions: int | None) -> float:
-        """The speed of the offset, positive to the left; 0 where the last telemetry does not give it."""
+        """The rate of the offset per second, positive to the left; 0 if the last message does not give it."""
         if self._last is None:
             return 0.0
         last_s, last_offset, last_interventions = self._last
-        if last_interventions != interventions:  # a car that was put back has not driven there
+        if last_interventions != interventions:  # the car was put back: the offset has jumped
             return 0.0
         return (offset - last_offset) / (time_s - last_s) if 0 < time_s - last_s <= _LONGEST_GAP_S else 0.0
 
@@ -115,11 +117,11 @@ class PersonTakeover:
 
     @property
     def device(self) -> Device | None:
-        """What the person steers with; None while the network drives."""
+        """The person's steering device; None while the network drives."""
         return self.control.device if self.person_drives else None
 
     def update(self) -> list[str]:
-        """Choose the driver by the newest controls, and return the events of that."""
+        """Choose the driver by the newest controls. Returns the events."""
         self.control = self._wheel.control()
         if not self.person_drives:
             if not self.control.is_touching:
@@ -132,14 +134,14 @@ class PersonTakeover:
         return []
 
     def hand_back(self) -> list[str]:
-        """The network drives again, until the next touch; the events of that."""
+        """Let the network drive until the next touch. Returns the events."""
         if not self.person_drives:
             return []
         self.person_drives = False
         return [PILOT_DRIVES]
 
     def command(self, speed_mph: float | None) -> tuple[float, float]:
-        """Steering and throttle of the person, at the car's speed, if that is known."""
+        """Steering and throttle of the person. `speed_mph` is the car's speed, None if unknown."""
         control = self.control
         if control.hold_mph is None or speed_mph is None or control.throttle < 0.0:  # the brake comes first
             return control.steering, control.throttle

@@ -1,4 +1,4 @@
-"""The camera's picture of a telemetry, decoded: a complete JPEG or PNG of a bounded size."""
+"""Decode the camera's picture in a telemetry message: a complete JPEG or PNG of limited size."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from recorder.pictures.picture_size import pixels
 from recorder.server.telemetry import TelemetryError, check_whole_picture
 
 MAX_PIXELS: Final = 1 << 21
-"""The largest picture that is driven on. 1920x1080 is just within, and takes 10 ms to decode. The megabyte that a
-telemetry may hold can unfold to 60 million pixels, and for the second that they take, the car would be left
-alone."""
+"""The largest accepted picture. 1920x1080 is just within, and takes 10 ms to decode. A message may hold a
+megabyte, which can decode to 60 million pixels; during the second that this takes, nobody would control the
+car."""
 
 
 def camera_picture(encoded: bytes) -> tuple[Image, tuple[int, int]]:
-    """The picture (height, width, 3) BGR, and the size in its header: by EXIF, decoding may turn it.
+    """The picture (height, width, 3) BGR, and the width and height in its header: decoding may rotate it by EXIF.
 
-    Raises TelemetryError for one that is not complete, and for more than `MAX_PIXELS`.
+    Raises TelemetryError for an incomplete picture, and for more than `MAX_PIXELS`.
     """
     try:
         size = check_whole_picture(encoded)

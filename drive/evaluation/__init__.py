@@ -1,1 +1,1 @@
-"""Driving measured: in closed loop, and learning from one's own mistakes; offline reports."""
+"""Evaluation of networks: driving in closed loop, comparisons, and the reports of `bc-eval`."""

@@ -28,9 +28,9 @@ DRIVES: Final = Path("drives")
 
 @dataclass(frozen=True)
 class LogFolder:
-    """The folder of the drives' logs, and the folder in a store, if any, that each log is copied to at the end."""
+    """The folder of the drives' logs, and the folder in a store to which finished logs are copied, if any."""
 
-    here: Path
+    local: Path
     store: Url | None = None
 
     @classmethod
@@ -38,17 +38,18 @@ class LogFolder:
         return cls(place) if isinstance(place, Path) else cls(DRIVES, place)
 
     def __truediv__(self, name: str) -> LogFolder:
-        return LogFolder(self.here / name, None if self.store is None else self.store / name)
+        return LogFolder(self.local / name, None if self.store is None else self.store / name)
 
     def refuse_existing(self, name: str, overwrite: bool) -> None:
-        """Raise UserError, before anything is driven, for a log that is there already; StoreError."""
-        refuse_existing(self.here / name, overwrite, "give --drives FOLDER for another place")
+        """Raise UserError if the log exists and may not be overwritten; StoreError if the store fails."""
+        refuse_existing(self.local / name, overwrite, "give --drives FOLDER for another place")
         if self.store is not None:
             refuse_taken_name(self.store / name, overwrite)
 
     def copy(self, name: str, overwrite: bool) -> tuple[Location, str]:
-        """Copy a finished log; where it lies then, and why it is not copied, or empty."""
-        log = self.here / name
+        """Copy a finished log to the store, if any. Returns its place, and the reason if the copy failed, else an
+        empty string."""
+        log = self.local / name
         if self.store is None:
             return log, ""
         from recorder.upkeep.copy_log import copy_log  # obstore, an extra
@@ -71,7 +72,7 @@ class DriveResult:
     config: DriveConfig
     log: Location
     report: dict[str, Any]
-    problem: str = ""  # why its log is not in the store where it belongs
+    problem: str = ""  # the reason if its log could not be copied to the store
 
     def as_dict(self) -> dict[str, Any]:
         return {"set_speed_mph": self.config.set_speed_mph, "log": str(self.log), **self.report}
@@ -85,18 +86,18 @@ def evaluate(
     overwrite: bool = False,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Iterator[DriveResult]:
-    """Drive each simulator in lock-step, log that, and give the results as they come. With `logs` in a store, a
-    drive is logged in drives/ and copied when it is finished.
+    """Drive each simulator in lock-step, log the drives, and yield each result when it is finished. With `logs` in
+    a store, a drive is logged in drives/ and copied when it is finished.
 
-    `notify` gets a line before each drive. Raises DriveError where the simulator fails, UserError where a log
-    exists and may not be overwritten.
+    `notify` gets a line before each drive. Raises DriveError if the simulator fails, UserError if a log exists and
+    may not be overwritten.
     """
     folder = logs if isinstance(logs, LogFolder) else LogFolder.of(logs)
     names = _log_names(pilot.run, drives, folder, overwrite=overwrite)
     for (simulator, config), name in zip(drives, names, strict=True):
         laps = f"{simulator.laps:g} lap{'' if simulator.laps == 1 else 's'}"
         notify(f"{pilot.run} on {simulator.track} at {config.set_speed_mph:g} mph, {laps}")
-        report = drive_and_log(pilot, simulator, config, folder.here / name, overwrite=overwrite)
+        report = drive_and_log(pilot, simulator, config, folder.local / name, overwrite=overwrite)
         place, problem = folder.copy(name, overwrite)
         yield DriveResult(simulator, config, place, report, problem)
 
@@ -111,10 +112,10 @@ def drive_runs(
     device: Device = "auto",
     overwrite: bool = False,
 ) -> Iterator[tuple[int, DriveResult]]:
-    """Let each of some runs, each with the folder of its logs, make each of the drives; number and result of each,
-    as they come. They are the numbers of `evaluate`.
+    """Let each run, given with the folder of its logs, make each of the drives. Yields the number and the result
+    of each drive when it is finished. The results are those of `evaluate`.
 
-    `networks` names the code that runs of one's own networks need. Raises what `evaluate` does.
+    `networks` names the code that runs of a user's own networks need. Raises what `evaluate` raises.
     """
     calls = [
         (run, tuple(networks), precision, device, simulator, config, logs, name, overwrite)
@@ -138,15 +139,15 @@ def _drive_run(
     overwrite: bool,
 ) -> DriveResult:
     pilot = _warm_pilot(run, networks, precision, device)
-    # whether it may be replaced was asked before: a drive that is made again may find the log of the first one
-    report = drive_and_log(pilot, simulator, config, logs.here / name, overwrite=True, shows_progress=False)
+    # `_log_names` has checked for existing logs; a drive that the cluster repeats replaces its own first log
+    report = drive_and_log(pilot, simulator, config, logs.local / name, overwrite=True, shows_progress=False)
     place, problem = logs.copy(name, overwrite)
     return DriveResult(simulator, config, place, report, problem)
 
 
 @lru_cache(maxsize=1)
 def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, device: Device) -> Pilot:
-    """A process of a cluster makes many drives, most of them of one run."""
+    """The pilot of a run, cached, because a process of a cluster makes many drives, most of them of one run."""
     for name in networks:
         load_code(name)
     pilot = load_pilot(run, precision, device)
@@ -155,7 +156,7 @@ def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, devi
 
 
 def _log_names(run: str, drives: Sequence[PlannedDrive], logs: LogFolder, *, overwrite: bool) -> list[str]:
-    """The log of each drive; raised is before the first of them what would be after it."""
+    """The names of the drives' logs. Raises, before the first drive, what a later drive would raise."""
     names = [
         f"{run}-{simulator.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
         for simulator, config in drives

@@ -31,8 +31,8 @@ def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
     mean = errors.unit.of(errors.mean.rmse_deg)
     if errors.network.rmse_deg >= errors.mean.rmse_deg:
         print_message(
-            f"bc-eval: A is no better here than always predicting the mean (RMSE {mean:.2f}): what"
-            " goes straight on might pass as well"
+            f"bc-eval: on these frames, A is no better than always predicting the mean (RMSE {mean:.2f}): a"
+            " network that goes straight might pass as well"
         )
 
 
@@ -52,7 +52,7 @@ def print_drive_comparison(comparison: DriveComparison, names: Sequence[str]) ->
     )
     print_table(drives, "", _table(title, comparison.differences, names), "")
     if comparison.gave_up:
-        print_result(f"B is worse: it did not get round {', '.join(comparison.gave_up)}, and A did")
+        print_result(f"B is worse: it did not finish {', '.join(comparison.gave_up)}, and A did")
     else:
         _print_verdict(comparison.verdict, comparison.differences, comparison.tolerance, "stretches of road")
 
@@ -66,7 +66,7 @@ def _print_verdict(verdict: Verdict, differences: Sequence[Difference], toleranc
     if verdict == "worse":
         print_result(f"B is worse than A: {headings['worse']}{beyond}")
     elif verdict == "better":
-        print_result(f"B is better than A: {headings['better']}; it is not shown to be worse in anything{beyond}")
+        print_result(f"B is better than A: {headings['better']}; no measure shows it to be worse{beyond}")
     elif verdict == "not told apart":
         print_result(f"B is not shown to be worse than A{beyond}")
     else:

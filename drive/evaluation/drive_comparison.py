@@ -24,8 +24,8 @@ from recorder.topics import EVENTS, POSE
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M
 from simulator.roads.track import Track, load_track
 
-TOLERANCE: Final = 0.02  # two good networks differ by a few centimetres all the way
-STRETCH_M: Final = 50.0  # 11 s at 10 mph: what went wrong in one seldom goes on in the next
+TOLERANCE: Final = 0.02  # two good networks differ by a few centimetres everywhere
+STRETCH_M: Final = 50.0  # 11 s at 10 mph: an error in one stretch seldom continues in the next
 
 MEASURES: Final = (
     Measure("interventions", "interventions"),
@@ -49,7 +49,7 @@ class DriveComparison:
 
     @cached_property
     def _sums(self) -> tuple[Floats, Floats]:
-        """The sums of every stretch of road that either run has driven, (stretches, K) each."""
+        """The sums of A and of B, (stretches, K) each, over the stretches of road that either has driven."""
         a, b = (_sums_of_tracks(drives) for drives in (self.a, self.b))
         is_driven = (a[:, 0] > 0) | (b[:, 0] > 0)
         return a[is_driven], b[is_driven]
@@ -64,7 +64,7 @@ class DriveComparison:
 
     @property
     def gave_up(self) -> tuple[str, ...]:
-        """The tracks on which B did not get round, and A did."""
+        """The tracks that A finished and B did not."""
         pairs = zip(self.a, self.b, strict=True)
         return tuple(b.simulator.track for a, b in pairs if b.report["gave_up"] and not a.report["gave_up"])
 
@@ -88,8 +88,8 @@ class DriveComparison:
 
 
 def _sums_of_tracks(drives: Sequence[DriveResult]) -> Floats:
-    """The sums of every stretch of every track, (stretches, 3). The drives of a track at several speeds are added
-    up, as its laps are: a stretch that is hard at one speed is hard at others, and so no further observation."""
+    """The sums of every stretch of every track, (stretches, 3). Drives of a track at several speeds are added up,
+    like laps: a stretch that is hard at one speed is hard at others, so they are not independent observations."""
     tracks: dict[str, Floats] = {}
     for drive in drives:
         sums = _sums_of_stretches(drive)
@@ -98,8 +98,8 @@ def _sums_of_tracks(drives: Sequence[DriveResult]) -> Floats:
 
 
 def _sums_of_stretches(drive: DriveResult) -> Floats:
-    """The sums over each stretch of the track's road, (stretches, 3): seconds, interventions, and the distance
-    from the centre line (a share of the half width) times seconds. Laps are added up."""
+    """The sums over each stretch of the track, (stretches, 3): seconds, interventions, and the distance from the
+    centre line (a share of the half width) times seconds. Laps are added up."""
     track = load_track(drive.simulator.track)
     time_ns, arc_m, offset = _course(drive.log, track)
     with Log(drive.log) as log:
@@ -117,14 +117,14 @@ def _sums_of_stretches(drive: DriveResult) -> Floats:
 
 def _course(path: Location, track: Track) -> tuple[NDArray[np.int64], Floats, Floats]:
     """The car's course along the road, one entry for each pose of the log: log time in ns, arc length in m, and
-    the distance from the centre line as a share of the half width there."""
+    the distance from the centre line as a share of the road's half width."""
     with Log(path) as log:
         poses = [(message.log_time_ns, pose.pose) for message, pose in log.decoded(POSE)]
-    near_m = 0.0  # where every drive begins
+    near_m = 0.0  # every drive begins at arc length 0
     arcs_m, offsets = [], []
     for _, pose in poses:
         q = pose.orientation
-        # the car's own x axis, turned by the quaternion: from the rear axle to the middle of the car
+        # the car's x axis, rotated by the quaternion: from the rear axle to the middle of the car
         forward = 1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.w * q.z)
         x_m, y_m = (
             at + AXLE_TO_CENTRE_M * along
@@ -138,7 +138,7 @@ def _course(path: Location, track: Track) -> tuple[NDArray[np.int64], Floats, Fl
 
 
 def _measures(sums: Floats) -> Floats:
-    """`MEASURES` of such sums, (..., 3) to (..., 3)."""
+    """`MEASURES` from the sums of stretches, (..., 3) to (..., 3)."""
     seconds, interventions, offset_seconds = np.moveaxis(sums, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         autonomy = 100 * np.maximum(0.0, 1 - INTERVENTION_COST_S * interventions / seconds)

@@ -1,4 +1,4 @@
-"""`bc-eval`: measures a trained network on recorded frames, or driving the simulator."""
+"""`bc-eval`: measure a trained network on recorded frames, or in the simulator."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def evaluate(config: Eval) -> int:
     return _measure(config) if config.simulator is None else _drive(config)
 
 
-def _found_runs(config: Eval, *names: str | None) -> list[Path]:
-    """The runs of these names, once the code of --network that they need has run."""
+def _find_runs(config: Eval, *names: str | None) -> list[Path]:
+    """Find the runs with these names, and load the code of --network that they need."""
     from model import find_run
     from model.runs.run_folder import load_named
 
@@ -49,11 +49,11 @@ def _measure(config: Eval) -> int:
     from drive.kept_drive import keep
     from model.runs.worst_pictures import worst_frames
 
-    (run,) = _found_runs(config, config.run)
+    (run,) = _find_runs(config, config.run)
     measured_on, (evaluation,) = _evaluations(config, [run])
     code = keep(run, "frames", {**measured_on, **evaluation.as_dict()})
-    asked = 10 * config.json if config.worst is None else config.worst
-    worst = worst_frames(evaluation.frames, asked, evaluation.max_deg)
+    worst_count = 10 * config.json if config.worst is None else config.worst
+    worst = worst_frames(evaluation.frames, worst_count, evaluation.max_deg)
     if config.json:
         print_result(
             json.dumps({**measured_on, **evaluation.as_dict(), "worst": [asdict(frame) for frame in worst]})
@@ -69,8 +69,8 @@ def _measure(config: Eval) -> int:
 
 
 def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
-    """The index and split that are measured on, or None, and the runs' predictions for them. Without --index, it
-    is the index of the first run."""
+    """The measured index and split (None for whole sessions), and the runs' predictions. Without --index, it is
+    the index of the first run."""
     from dataset import find_logs
     from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions
 
@@ -83,12 +83,12 @@ def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | No
 
 def _print_measured_on(measured_on: dict[str, str | None]) -> None:
     if measured_on["index"] is not None:
-        split = "holds out" if measured_on["split"] == "validation" else "trains on"
-        print_result(f"measured on what {measured_on['index']} {split}")
+        frames = "frames held out" if measured_on["split"] == "validation" else "frames for training"
+        print_result(f"measured on the {frames} of {measured_on['index']}")
 
 
 def _index_of(run: Path) -> Location:
-    """The index that the run was trained on; the one in the current folder where a run does not name it."""
+    """The index that the run was trained on; if the run does not name it, index/ in the current folder."""
     from model.runs.run_inputs import allowed_index_of, index_of
 
     index = index_of(run)
@@ -103,7 +103,7 @@ def _index_of(run: Path) -> Location:
 
 
 def _print_notices(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:
-    """Print what a person should know before the numbers are used; the exit code."""
+    """Print notices that matter for the numbers. Returns the exit code."""
     code = warn_skipped(evaluation.skipped)
     for notice in evaluation.notices:
         code = warn(notice)
@@ -113,28 +113,28 @@ def _print_notices(evaluation: Evaluation, measured_on: dict[str, str | None]) -
 
 
 def _print_learnt(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:
-    """Print whether the run has learnt from the frames that it is measured by; the exit code."""
+    """Print a line if the run has, or may have, learnt from the measured frames. Returns the exit code."""
     from model.runs.run_folder import run_name
 
     run, count = run_name(evaluation.run), evaluation.measures.frames
     if evaluation.trained_on is None:
-        return warn(f"{evaluation.run}: does not say what it was trained on; it may have learnt from these frames")
+        return warn(f"{evaluation.run}: does not record its training data; it may have learnt from these frames")
     elif evaluation.trained_on:
         line = f"{run} has learnt from {evaluation.trained_on:,} of these {counted(count, 'frame')}"
         if measured_on["split"] != "train":
-            return warn(f"{line}: on others it may be worse; measure frames that its own index holds out")
+            return warn(f"{line}: on other frames it may be worse; measure frames that its own index holds out")
         print_message(f"bc-eval: {line}")
     return DONE
 
 
 def _compare(config: Eval, runs: tuple[str, str]) -> int:
-    """Compare two runs; exit code 3 if there is no verdict, and with --gate 1 if the second one is worse."""
+    """Compare two runs. Returns exit code 3 if there is no verdict, and with --gate 1 if B is worse."""
     from model.runs.run_folder import run_name
 
-    a, b = _found_runs(config, *runs)
+    a, b = _find_runs(config, *runs)
     names = run_name(a), run_name(b)
     if absolute(a) == absolute(b):
-        warn(f"{names[0]}: A and B are the same run, which is never worse than itself; give another one as B")
+        warn(f"{names[0]}: A and B are the same run, which is never worse than itself; give another run as B")
     compare = _compare_on_frames if config.simulator is None else _compare_by_driving
     verdict, code = compare(config, a, b, names)
     if config.gate and verdict == "worse":
@@ -147,8 +147,8 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
     from model.evaluation.run_comparison import Comparison
     from model.runs.run_arguments import run_argument
 
-    measured_on, (of_a, of_b) = _evaluations(config, [a, b])
-    comparison = Comparison(of_a.driving, of_b.driving, config.tolerance or 0.0)
+    measured_on, (evaluation_a, evaluation_b) = _evaluations(config, [a, b])
+    comparison = Comparison(evaluation_a.driving, evaluation_b.driving, config.tolerance or 0.0)
     if config.json:
         print_result(json.dumps({**measured_on, **comparison.as_dict()}))
     else:
@@ -156,9 +156,10 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
 
         print_comparison(comparison, names)
         _print_measured_on(measured_on)
-        if of_a.without_crashes is not None:
-            print_result(f"compared without {counted(of_a.crashes, 'frame')} of crashes and the like")
-    code = max(_print_notices(of_a, measured_on), DONE if a == b else _print_learnt(of_b, measured_on))
+        if evaluation_a.without_crashes is not None:
+            print_result(f"compared without {counted(evaluation_a.crashes, 'frame')} of crashes")
+    learnt_code = DONE if a == b else _print_learnt(evaluation_b, measured_on)
+    code = max(_print_notices(evaluation_a, measured_on), learnt_code)
     if not config.json:
         runs = f"{run_argument(a)} {run_argument(b)}"
         print_next(f"bc-eval --compare {runs} --simulator lake", "what errors on frames mean for driving")
@@ -174,13 +175,14 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
     logs = LogFolder.of(config.drives or DRIVES)
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
     code = max(DONE, *(_warn_problem(result) for result in results.values()))
-    of_a, of_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
-    comparison = DriveComparison(*names, of_a, of_b, TOLERANCE if config.tolerance is None else config.tolerance)
+    drives_a, drives_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
+    tolerance = TOLERANCE if config.tolerance is None else config.tolerance
+    comparison = DriveComparison(*names, drives_a, drives_b, tolerance)
     if config.json:
         print_result(json.dumps(comparison.as_dict()))
     else:
         print_drive_comparison(comparison, names)
-        print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (of_a, of_b))} --by place")
+        print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (drives_a, drives_b))} --by place")
     return comparison.verdict, code
 
 
@@ -193,13 +195,13 @@ def _drive(config: Eval) -> int:
     results: dict[int, DriveResult] = {}
     codes = [DONE]
     try:
-        (run,) = _found_runs(config, config.run)
+        (run,) = _find_runs(config, config.run)
         for number, result in _driven(config, [(run, LogFolder.of(config.drives or DRIVES))], drives):
             results[number] = result
             codes += [keep(run, "simulator", result.as_dict()), _warn_problem(result)]
             if config.json:
                 print_result(json.dumps(result.as_dict()))
-    finally:  # what was measured is shown, whatever stops the rest
+    finally:  # show the measured drives even if an error or Ctrl-C stops the others
         if results and not config.json:
             print_drives([results[number] for number in sorted(results)])
     _print_verdict(config, run)
@@ -207,7 +209,7 @@ def _drive(config: Eval) -> int:
 
 
 def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None) -> None:
-    """Print the verdict on a run: by the errors of an `evaluation`, else by those that it keeps."""
+    """Print the verdict on a run: from the errors of `evaluation`, by default from those in the run's folder."""
     if config.json:
         return
     from model import judge
@@ -219,11 +221,9 @@ def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None
             sessions = [*evaluation.driving.sessions] if evaluation.trained_on == 0 else ()
             verdict = judge(run, evaluation.driving.measures, sessions)
             if evaluation.without_crashes is not None:
-                print_result(
-                    f"the verdict is without {counted(evaluation.crashes, 'frame')} of crashes and the like"
-                )
+                print_result(f"the verdict is without {counted(evaluation.crashes, 'frame')} of crashes")
         print_result(*verdict.lines)
-    except UserError as error:  # what was measured is shown all the same
+    except UserError as error:  # the measurement itself is already printed
         warn(str(error))
 
 
@@ -246,17 +246,17 @@ def _drives(config: Eval) -> list[PlannedDrive]:
 def _driven(
     config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
-    """The results of the drives of runs, each with the folder of its logs: number and result, as they come."""
+    """Make the drives of runs, each given with the folder of its logs. Yields number and result when finished."""
     from drive.driven_car import other_steering
 
     for run, _ in runs:
         if line := other_steering(run, None):
             print_message(f"bc-eval: {line}")
-    drive = _driven_here if config.ray is None else _driven_on_cluster
+    drive = _driven_locally if config.ray is None else _driven_on_cluster
     yield from drive(config, runs, drives)
 
 
-def _driven_here(
+def _driven_locally(
     config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import evaluate as evaluate_run

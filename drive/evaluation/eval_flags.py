@@ -1,4 +1,4 @@
-"""The flags of `bc-eval`, and which of them go together."""
+"""The flags of `bc-eval`, and the combinations that are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from common.ray_flag import RayAddress
 
 
 def _default(metavar: str, value: str) -> Any:
-    """A flag that is None unless it is given, because it belongs to one way of measuring only."""
+    """A flag that is None unless given, because it belongs to only one way of measuring."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {value})")
 
 
@@ -40,7 +40,7 @@ class Eval:
     """With --compare: exit code 1 if B is worse."""
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
     """How much worse B may be, as a share."""
-    index: Annotated[LocationFlag | None, _default("PATH|URL", "the one that the run was trained on")] = None
+    index: Annotated[LocationFlag | None, _default("PATH|URL", "the run's index")] = None
     """The index to measure on."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
     """Frames held out, or those for training."""
@@ -81,16 +81,16 @@ OF_DRIVES: Final = ("laps", "speed", "device", "precision", "drives", "force", "
 
 
 def refuse_contradictions(config: Eval) -> None:
-    """Raise UsageError for flags that do not go together, and for values that make no sense."""
+    """Raise UsageError for flags that contradict each other, and for invalid values."""
     if config.simulator is None and (flags := flags_given(config, *OF_DRIVES)):
         raise UsageError(f"{flags}: only with --simulator TRACK: without it, recorded frames are measured")
     if config.simulator is not None and (flags := flags_given(config, *OF_FRAMES)):
-        raise UsageError(f"{flags}: of recorded frames, and --simulator drives: give one or the other")
+        raise UsageError(f"{flags}: only for recorded frames, but --simulator drives: give one or the other")
     if config.simulator == () or config.speed == ():
         raise UsageError("nothing to drive: give --simulator at least one track, and --speed at least one speed")
-    for flag, given in (("--simulator", config.simulator), ("--speed", config.speed)):
-        if given is not None and len(set(given)) < len(given):
-            raise UsageError(f"{flag} {' '.join(map(str, given))}: give each once")
+    for flag, values in (("--simulator", config.simulator), ("--speed", config.speed)):
+        if values is not None and len(set(values)) < len(values):
+            raise UsageError(f"{flag} {' '.join(map(str, values))}: give each once")
     if config.session == ():
         raise UsageError("nothing to measure: give --session at least one session")
     if config.session is not None and (config.index is not None or config.split is not None):

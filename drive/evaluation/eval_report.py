@@ -1,4 +1,4 @@
-"""The tables that bc-eval prints, of recorded frames and of drives."""
+"""The tables that bc-eval prints for recorded frames and for drives."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BAR_CELLS = 16  # so that a line fits 80 columns
 
 
 def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bins: bool = False) -> None:
-    """Print the tables, that of steering bins only with `bins`; then the commands that show the `worst` frames."""
+    """Print the tables, with `bins` also that of steering bins, then the commands that show the `worst` frames."""
     tables = [_measures_table(evaluation)]
     if evaluation.other_targets:
         tables.append(_targets_table(evaluation.other_targets))
@@ -105,7 +105,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
 
 def _targets_table(targets: Sequence[TargetErrors]) -> Table:
     headings = ("other targets", "frames", "MAE", "RMSE", "always the mean", "bias", "correlation")
-    table = plain_table("what else it answers, and what was recorded", *headings)
+    table = plain_table("other targets, compared with the recording", *headings)
     for errors in targets:
         unit = TARGETS[errors.target].unit
         numbers = (errors.mae, errors.rmse, errors.mean_rmse, errors.bias, errors.correlation)

@@ -1,4 +1,4 @@
-"""The built-in simulator as a process of its own, which connects to the drive's server and is driven."""
+"""The built-in simulator as a separate process, which connects to the drive's server."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ SIMULATOR_METADATA: Final = "bc.simulator"
 """The metadata record of a log that holds the simulator's own report of the drive."""
 
 END_S: Final = 10.0
-"""The time that a terminated simulator has to end."""
+"""The time after which a terminated simulator is killed."""
 
 
 @dataclass(frozen=True)
 class BuiltInSimulator:
-    """The built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED), for so many laps."""
+    """The built-in simulator on a track (lake, mountain, random:SEED, hairpins:SEED)."""
 
     track: str
     laps: float = 1.0
     real_time: bool = False
-    """No faster than the clock; otherwise simulated time waits for each answer, and hurries."""
+    """Run no faster than the clock; else the simulator runs as fast as the answers come."""
     leave_off_road: bool = False
-    """A car that has left the road is left to who takes over, and put back only when it is stuck."""
+    """Put the car back only if it is stuck: off the road, a person or expert takes over."""
     start_m: float = 0.0
-    """Where it begins, along the track."""
+    """The start, in metres along the track."""
 
     def __post_init__(self) -> None:
         """Raises DriveError for a track or laps that cannot be driven."""
@@ -49,7 +49,7 @@ class BuiltInSimulator:
 
 
 def check_laps(laps: float) -> None:
-    """Raises DriveError for a number of laps that cannot be driven."""
+    """Raise DriveError for a number of laps that cannot be driven."""
     if not 0 < laps <= MAX_LAPS:
         raise DriveError(f"--laps {laps:g}: give a number above 0 and up to {MAX_LAPS:,}")
 
@@ -63,9 +63,11 @@ def drive_and_log(
     overwrite: bool = False,
     shows_progress: bool = True,
 ) -> dict[str, Any]:
-    """Drive the built-in simulator, in lock-step unless it keeps real time, and log that: its own report.
+    """Drive the built-in simulator, in lock-step unless it keeps real time, and log the drive. Returns the
+    simulator's report.
 
-    Raises DriveError if the simulator fails, KeyboardInterrupt if it was stopped; the log is finished then too.
+    Raises DriveError if the simulator fails, KeyboardInterrupt if the drive was stopped. The log is finished in
+    any case.
     """
     with (
         stop_signals() as stopped,
@@ -82,8 +84,8 @@ def drive_built_in(
 ) -> dict[str, Any]:
     """Start the built-in simulator, and serve until it has driven its laps or `stopped` is set.
 
-    Returns its own report, which is kept in the log too; empty if it was stopped. Raises DriveError if it fails.
-    Without `shows_progress`, it draws no bar on the terminal.
+    Returns the simulator's report, which the log keeps, too; empty if the drive was stopped. Raises DriveError if
+    the simulator fails. Without `shows_progress`, it draws no bar on the terminal.
     """
     with _process(server, simulator, shows_progress=shows_progress) as process:
         server.run(until=lambda: process.poll() is not None, stopped=stopped)
@@ -95,8 +97,8 @@ def drive_built_in(
             code = f"the simulator on {simulator.track} ended with exit code {process.returncode}"
             raise DriveError(f"{code}: {why}" if why else code)
         report: dict[str, Any] = json.loads(output)
-        if report["gave_up"] and not shows_progress:  # else the simulator has printed that itself
-            server.notify("the car did not get on for a minute: given up")
+        if report["gave_up"] and not shows_progress:  # else the simulator has printed it itself
+            server.notify("the car made no progress for a minute: given up")
         server.session.add_metadata(SIMULATOR_METADATA, {name: str(value) for name, value in report.items()})
         return report
 
@@ -113,7 +115,7 @@ def _process(
         *(["--leave-off-road"] if config.takeover or simulator.leave_off_road else []),
         *(["--real-time"] if simulator.real_time else []),
     ]
-    # In a session of its own: Ctrl-C reaches only us, and the drive ends between two telemetries.
+    # In a new session, so that Ctrl-C reaches only this process, and the drive ends between two messages.
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=None if shows_progress else subprocess.PIPE, start_new_session=True
     )

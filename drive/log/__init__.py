@@ -1,1 +1,1 @@
-"""The log of a drive, written beside it, and its summary."""
+"""The log of a drive, which a thread writes, and its summary."""

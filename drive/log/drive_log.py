@@ -1,4 +1,4 @@
-"""The log of a drive: every telemetry that was answered, its answer, and the events."""
+"""The log of a drive: all answered telemetry messages, the answers, and the events."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ _PICTURES_OF_A_ROW: Final = 2  # the centre camera's and the crop
 
 
 class DriveLog(Closeable):
-    """Writes decisions, in rows that are numbered from 0. All methods but `close` return at once.
+    """Writes decisions in rows that are numbered from 0. All methods except `close` return at once.
 
-    Where the disk is too slow, rows lose their pictures first, and are lost themselves only after many minutes of
-    that; both are counted, and events report it. A decision is written later: it must not change any more.
+    If the disk is too slow, rows first lose their pictures; after many minutes, rows are lost, too. Both are
+    counted, and events report them. A decision is written later, so it must not change any more.
 
-    Not to be called by two threads at once. Until it is closed, no other code may use the writer.
+    Two threads must not call it at once. Until it is closed, no other code may use the writer.
     """
 
     def __init__(self, writer: LogWriter) -> None:
         self.frames = 0
-        """Rows that are in the log, or will be."""
+        """Rows that are, or will be, in the log."""
         self.dropped_pictures = 0
-        """Pictures of the camera, and crops, that are not in the log."""
+        """Camera pictures and crops that are not in the log."""
         self.dropped_rows = 0
-        """Rows, and events, that are not."""
+        """Rows and events that are not in the log."""
         self._writer = writer
         self._clock = LogClock()
         self._thread = LogThread(writer.flush_if_due)
@@ -59,11 +59,11 @@ class DriveLog(Closeable):
 
     @property
     def failure(self) -> UserError | None:
-        """The error after which the log cannot be written any further; from then on nothing is."""
+        """The error after which nothing more is written to the log; None without an error."""
         return self._thread.failure
 
     def decision(self, decision: Decision, total_ms: float) -> None:
-        """Write a telemetry that was answered `total_ms` after it came. One that could not be used is an event."""
+        """Write a telemetry message that was answered after `total_ms`. An unusable message becomes an event."""
         if self.failure is not None:
             return
         received_ns = _ago_ns(total_ms)
@@ -79,8 +79,8 @@ class DriveLog(Closeable):
             self._event(received_ns, text, is_problem=bool(decision.problem))
 
     def manual(self, total_ms: float) -> None:
-        """Write that a human drives. Such a telemetry has no picture and no steering, and makes no row: events
-        mark where a human begins to drive, and where the pilot does again."""
+        """Write that a human drives. The message has no picture and no steering, so it becomes no row: events mark
+        the begin of a human's driving, and of the pilot's."""
         if not self._is_manual:
             self._is_manual = True
             self._human_driving.begin(self._event(_ago_ns(total_ms), HUMAN_DRIVES))
@@ -93,7 +93,7 @@ class DriveLog(Closeable):
         self._event(time.perf_counter_ns(), text, is_problem)
 
     def close(self) -> None:
-        """Wait until everything is written. The writer is then its owner's again."""
+        """Wait until everything is written. Then other code may use the writer again."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -130,7 +130,7 @@ class DriveLog(Closeable):
             self._thread.put(partial(self._writer.event, time_ns, PILOT_DRIVES_AGAIN, "INFO", "drive"))
 
     def _event(self, happened_ns: int, text: str, is_problem: bool = False) -> int:
-        """Have an event written, if there is room; its log time."""
+        """Write an event, if the queue has room. Returns its log time."""
         time_ns = self._clock.event(happened_ns)
         if self._thread.has_room:
             level: EventLevel = "WARNING" if is_problem else "INFO"
@@ -140,7 +140,7 @@ class DriveLog(Closeable):
         return time_ns
 
     def _problem(self, text: str) -> None:
-        """An event of the kind that is so rare that there is always room for it."""
+        """Write an event even if the queue is full: problems are rare."""
         time_ns = self._clock.event(time.perf_counter_ns())
         self._thread.put(partial(self._writer.event, time_ns, text, "WARNING", "drive"))
 
@@ -151,9 +151,9 @@ class DriveLog(Closeable):
     ) -> None:
         crop = None
         if decision.crop is not None:
-            # as OpenCV writes it by default: half the time of its best compression in hand, a fifth larger
+            # OpenCV's default compression: half the time of the best one, a fifth larger
             ok, png = cv2.imencode(".png", decision.crop)
-            if not ok:  # cannot happen with a crop of ours, but a lost crop must not go unnoticed
+            if not ok:  # cannot happen with these crops, but a lost crop must not go unnoticed
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
             crop = png.tobytes()
         write_telemetry(

@@ -1,4 +1,4 @@
-"""The summary of a drive: its counters while it goes on, in the same memory for hours."""
+"""The summary of a drive: counters that grow during the drive, in constant memory."""
 
 from __future__ import annotations
 
@@ -21,68 +21,70 @@ STAGES: Final = ("parse", "decode", "network", "total")
 
 
 class DriveSummary:
-    """Counts the same decisions as the log holds. Its clock is the simulator's where that sends its time.
+    """Counts the decisions that the log holds. Its clock is the simulator's if that sends its time.
 
-    Time counts while telemetry comes: pauses of more than a second (`recorder.rows.row_quality.GAP_S`) by this
-    computer's clock are not driving.
+    Time counts only while telemetry comes: pauses of more than a second (`recorder.rows.row_quality.GAP_S`) by
+    this computer's clock are not driving.
     """
 
     def __init__(self) -> None:
         self.frames = 0
-        """Telemetries that could be used."""
+        """Usable telemetry messages."""
         self.bad: Counter[str] = Counter()
-        """Telemetries that could not, by kind."""
+        """Unusable telemetry messages, by kind."""
         self.side_problems: Counter[str] = Counter()
-        """Pictures of side cameras that could not be used, by kind."""
+        """Unusable pictures of side cameras, by kind."""
         self.without_number = 0
-        """Frames for which the network gave no number: the car was braked."""
+        """Frames for which the network gave no number, so the car was braked."""
         self.manual_stretches = 0
-        """The times that a human took the wheel."""
+        """Number of times that a human took the wheel."""
         self.takeovers = 0
-        """The times that the expert took over."""
+        """Number of times that the expert took over."""
         self.put_back = 0
-        """The times that the simulator put the car back on the road."""
+        """Number of times that the simulator put the car back on the road."""
         self.in_flight: Counter[int] = Counter()
-        """Frames, by the number of telemetries in flight."""
+        """Frames, by the number of messages in flight."""
         self.pushes = 0
-        """Commands that answered no telemetry: the simulator was silent; its owner counts this and the next."""
+        """Commands that answered no message, because the simulator was silent. `DriveSession` counts them."""
         self.unanswered = 0
-        """Telemetries that were left unanswered, because these commands kept more in flight than before."""
+        """Messages left unanswered, because these commands had raised the number in flight. `DriveSession` counts
+        them."""
         self.dropped_pictures = 0
-        """Pictures that are not in the log, as `DriveLog` counts them; its owner sets this and the next."""
+        """Pictures that are not in the log, from `DriveLog`. `DriveSession` sets it at the end."""
         self.dropped_rows = 0
+        """Rows and events that are not in the log, as `dropped_pictures`."""
         self.elapsed_s = 0.0
         self.simulated_s = 0.0
-        """The part of `elapsed_s` that is by the simulator's clock."""
+        """The part of `elapsed_s` by the simulator's clock."""
         self.driven_s = 0.0
-        """The part of `elapsed_s` with telemetry that was driven on."""
+        """The part of `elapsed_s` with usable telemetry and without the brake."""
         self.distance_m = 0.0
         self.latency = {stage: LatencyHistogram() for stage in STAGES}
         self._clock = DriveClock()
         self._time_s = 0.0
-        self._with_speed_s = 0.0  # of `elapsed_s`, with telemetry that gives the speed
+        self._with_speed_s = 0.0  # the part of `elapsed_s` with a known speed
         self._world: World | None = None
         self._frames_with_laps = 0
-        self._laps = 0.0  # of the frames that give them
+        self._laps = 0.0  # sum over frames with a lap count
         self.telemetries = 0
-        """All that were answered: frames, malformed ones, and those of a human's driving."""
+        """All answered messages: usable, unusable, and those while a human drives."""
         self.frames_with_interventions = 0
-        """Frames with the simulator's count of interventions in their telemetry."""
-        self.speed_mph: float | None = None  # this and the next three: the last known values
+        """Frames whose message has the simulator's count of interventions."""
+        self.speed_mph: float | None = None  # last known value, as the next three
         self.driver: Literal["pilot", "expert", "human"] = "pilot"
         self.is_braked = False
         self.steering = 0.0
         self.wanted_mph: tuple[float, float] | None = None
-        """The least and the most target speed of the network; None where it has no such output."""
+        """The lowest and the highest speed that the network answered; None if it answers no speed."""
         self.total_ms = 0.0
-        """The sum of all telemetries' times to their answers."""
+        """The sum of the response times of all messages."""
         self.last_ms = 0.0
-        """The last telemetry's."""
+        """The response time of the last message."""
         self.last_s = 0.0
-        """The time of a monotonic clock at which it was answered."""
+        """The time of a monotonic clock at which the last message was answered."""
 
     def decision(self, decision: Decision, total_ms: float, now_s: float | None = None) -> None:
-        """Count a telemetry that was answered after `total_ms`; `now_s` is by a monotonic clock."""
+        """Count a telemetry message that was answered after `total_ms`. `now_s` is by a monotonic clock."""
         telemetry = decision.telemetry
         passed_s = self._answered(total_ms, now_s, telemetry.world if telemetry is not None else None)
         self.steering = decision.steering
@@ -98,8 +100,8 @@ class DriveSummary:
         if not self.is_braked:
             self.driven_s += passed_s
         if (wanted_mph := decision.predicted_speed_mph) is not None and math.isfinite(wanted_mph):
-            least, most = self.wanted_mph or (wanted_mph, wanted_mph)
-            self.wanted_mph = min(least, wanted_mph), max(most, wanted_mph)
+            lowest_mph, highest_mph = self.wanted_mph or (wanted_mph, wanted_mph)
+            self.wanted_mph = min(lowest_mph, wanted_mph), max(highest_mph, wanted_mph)
         self.frames += 1
         self.side_problems.update(telemetry.side_problems)
         self.without_number += bool(decision.problem)
@@ -118,7 +120,7 @@ class DriveSummary:
             self._course(telemetry.world)
 
     def manual(self, total_ms: float, now_s: float | None = None) -> None:
-        """Count a telemetry while a human drives."""
+        """Count a telemetry message while a human drives."""
         self.driven_s += self._answered(total_ms, now_s, None)
         self.is_braked = False
         if self.driver != "human":
@@ -127,7 +129,7 @@ class DriveSummary:
 
     @property
     def usual_in_flight(self) -> int:
-        """The number of telemetries in flight at most frames; 0 where there are none."""
+        """The most frequent number of messages in flight; 0 without frames."""
         return max(self.in_flight, key=self.in_flight.__getitem__, default=0)
 
     @property
@@ -136,22 +138,22 @@ class DriveSummary:
 
     @property
     def is_all_lost(self) -> bool:
-        """True if no telemetry could be driven on, or the network gave no number for any."""
+        """True if no message was usable, or if the network gave no number for all frames."""
         return self.frames == self.without_number
 
     @property
     def no_drive_reason(self) -> str:
-        """The reason where all is lost, and what to do."""
+        """The reason for a drive that is all lost, and the remedy."""
         if self.without_number:
             return "the network gave no number; drive with another run"
         if not self.bad:
             return "a human held the keys all the time; let go of them"
         (kind, _), *_ = self.bad.most_common(1)
-        return f"no telemetry could be used ({kind}); mend that in the simulator"
+        return f"no telemetry could be used ({kind}); correct this in the simulator"
 
     @property
     def laps(self) -> float | None:
-        """The laps with the part of the present one; None if any frame's telemetry did not give them."""
+        """The driven laps, with a fraction; None if a frame's message has no lap count."""
         return self._laps if self.frames and self._frames_with_laps == self.frames else None
 
     @property
@@ -160,7 +162,7 @@ class DriveSummary:
 
     @property
     def autonomy_percent(self) -> float | None:
-        """The autonomy over the time that was driven; None where none was. Bojarski et al. 2016, section 7.1: each
+        """The autonomy over the driven time; None if nothing was driven. Bojarski et al. 2016, section 7.1: each
         intervention counts as six seconds of a human's driving."""
         if self.is_all_lost or not self.driven_s:
             return None
@@ -168,7 +170,7 @@ class DriveSummary:
 
     @property
     def mean_speed_mph(self) -> float | None:
-        """The mean while telemetry gives the speed, which it does not while a human drives; None if it never
+        """The mean speed while messages give the speed, which they do not while a human drives; None if none
         did."""
         return self.distance_m / self._with_speed_s / MPS_PER_MPH if self._with_speed_s else None
 
@@ -181,7 +183,7 @@ class DriveSummary:
         return "simulator" if self.elapsed_s - self.simulated_s < 1e-3 else "both"
 
     def connected(self) -> None:
-        """From here on telemetry is another simulator's, or of another drive of the same one."""
+        """Note a connection: the next messages are of another simulator, or of another drive."""
         self._world, self.driver, self.speed_mph = None, "pilot", None
 
     def as_metadata(self) -> dict[str, str]:
@@ -215,7 +217,7 @@ class DriveSummary:
         return counts | {"clock": self.clock} | measured
 
     def _answered(self, total_ms: float, now_s: float | None, world: World | None) -> float:
-        """Count an answered telemetry; the seconds that were driven since the one before."""
+        """Count an answered message. Returns the seconds of driving since the message before."""
         now_s = time.monotonic() if now_s is None else now_s
         self.telemetries += 1
         self.total_ms += total_ms
@@ -247,5 +249,5 @@ class DriveSummary:
 
 
 def _is_another_drive(before: World, world: World) -> bool:
-    """True if the time goes back: another simulator, or the same one begun anew."""
+    """True if the time goes back: another simulator, or the same one restarted."""
     return before.time_s is not None and world.time_s is not None and world.time_s < before.time_s

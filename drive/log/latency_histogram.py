@@ -9,16 +9,16 @@ from typing import Final
 SMALLEST_MS: Final = 1e-3
 LARGEST_MS: Final = 1e5
 RESOLUTION: Final = 0.01
-"""A percentile is at most this share above or below the time that stands there."""
+"""The largest relative error of a percentile."""
 
 _RATIO: Final = math.log(1 + 2 * RESOLUTION)
 _BINS: Final = math.ceil(math.log(LARGEST_MS / SMALLEST_MS) / _RATIO) + 1
 
 
 class LatencyHistogram:
-    """A histogram of times in ms, its bins each 2 % wider than the one before: 930 of them, from 1 us to 100 s.
+    """A histogram of times in ms with 930 bins from 1 us to 100 s, each 2 % wider than the one before.
 
-    Times below or above count as the first or the last; `max_ms` is exact.
+    Times outside count in the first or the last bin; `max_ms` is exact.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class LatencyHistogram:
         self._bins[_bin(ms)] += 1
 
     def percentile_ms(self, percent: float) -> float:
-        """The smallest time that at least so many percent of all times do not exceed; 0 where there are none."""
+        """The smallest time that at least `percent` % of all times do not exceed; 0 without times."""
         if not self.count:
             return 0.0
         rank = max(1, math.ceil(percent / 100 * self.count))

@@ -1,4 +1,4 @@
-"""The thread that writes a drive's log, so that the driving loop never waits for the disk."""
+"""A thread that writes a drive's log, so that the driving loop never waits for the disk."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Final
 from common import UserError
 
 MAX_PICTURE_BYTES: Final = 128 << 20
-"""The most bytes of pictures that wait: 35 s of driving at 60 frames a second, each with a JPEG of 15 KB and a
+"""Maximum bytes of pictures in the queue: 35 s of driving at 60 frames a second, each with a JPEG of 15 KB and a
 crop of 48 KB."""
 MAX_WAITING: Final = 36_000
-"""The most rows and events that wait: ten minutes of driving at 60 frames a second, 100 MB without pictures."""
+"""Maximum rows and events in the queue: ten minutes of driving at 60 frames a second, 100 MB without pictures."""
 
 _IDLE_S: Final = 0.1
 
 
 class LogThread:
-    """Calls the functions that it is given, in their order, on a thread of its own; and `flush` while it is idle.
+    """Calls the functions given to `put`, in order, on its own thread, and `flush` while it is idle.
 
-    It is as important to the system as the driving loop: one that sleeps while it holds Python's lock would stop
-    the loop with it.
+    The thread has the same priority as the driving loop: if it slept while it holds Python's lock, it would stop
+    the loop.
 
-    Not to be called by two threads at once.
+    Two threads must not call it at once.
     """
 
     def __init__(self, flush: Callable[[], None]) -> None:
@@ -32,7 +32,7 @@ class LogThread:
         self._bug: Exception | None = None
         self._flush = flush
         self._queue: SimpleQueue[tuple[Callable[[], None], int] | None] = SimpleQueue()
-        # each of these is written by one thread only: none needs a lock
+        # only one thread writes each of these, so they need no lock
         self._put_count = self._put_bytes = 0
         self._done_count = self._done_bytes = 0
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
@@ -40,16 +40,16 @@ class LogThread:
 
     @property
     def has_room(self) -> bool:
-        """True if another row or event may wait."""
+        """True if the queue has room for another row or event."""
         return self._put_count - self._done_count < MAX_WAITING
 
     def has_room_for(self, picture_bytes: int) -> bool:
-        """True if pictures of so many bytes may wait."""
+        """True if the queue has room for `picture_bytes` of pictures."""
         return self._put_bytes - self._done_bytes + picture_bytes <= MAX_PICTURE_BYTES
 
     def put(self, write: Callable[[], None], picture_bytes: int = 0) -> None:
-        """Have `write` called soon; after a failure nothing is called any more. Raises errors that no disk
-        causes."""
+        """Queue a call of `write`. After a failure, nothing is called any more. Raises an unexpected error of an
+        earlier call."""
         if self._bug is not None:
             raise self._bug
         if self.failure is None:
@@ -58,7 +58,7 @@ class LogThread:
             self._queue.put((write, picture_bytes))
 
     def close(self) -> None:
-        """Wait until everything is written. Raises errors that no disk causes."""
+        """Wait until everything is written. Raises an unexpected error of a call."""
         self._queue.put(None)
         self._thread.join()
         if self._bug is not None:

@@ -1,4 +1,4 @@
-"""The summary of a drive in words: one line while it goes on, and those at its end."""
+"""The summary of a drive in words: a status line during the drive, and the lines at its end."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from common.errors import counted
 from drive.log.drive_summary import DriveSummary
 
 MAX_KINDS: Final = 5
-"""The kinds of what could not be used that are named."""
+"""Maximum number of named kinds of unusable messages or pictures."""
 _BRIEF_S: Final = 1.0
-"""A shorter time that was not driven goes without mention."""
+"""A shorter time without driving is not mentioned."""
 
 RATE_S: Final = 1.0
-"""The time over which replies a second are counted."""
+"""The time over which the replies per second are measured."""
 
 
 def summary_lines(summary: DriveSummary) -> list[str]:
@@ -31,8 +31,8 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         f"autonomy {_autonomy(summary)}, {_interventions(summary)}{_unknown_interventions(summary)}",
     ]
     if summary.wanted_mph is not None:
-        least, most = summary.wanted_mph
-        lines.append(f"the network wanted {least:.1f} to {most:.1f} mph")
+        lowest_mph, highest_mph = summary.wanted_mph
+        lines.append(f"the network wanted {lowest_mph:.1f} to {highest_mph:.1f} mph")
     if summary.frames:
         stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
         lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}{_in_flight(summary)}")
@@ -56,17 +56,17 @@ def _laps(summary: DriveSummary) -> str:
     return "" if summary.laps is None else f"{summary.laps:.2f} laps, "
 
 
-def _unusable(problems: Counter[str], one: str, many: str) -> str:
+def _unusable(problems: Counter[str], singular: str, plural: str) -> str:
     kinds = ", ".join(f"{kind} ({count:,})" for kind, count in problems.most_common(MAX_KINDS))
     others = len(problems) - MAX_KINDS
     more = f", and {counted(others, 'other kind')}" if others > 0 else ""
-    return f"{counted(problems.total(), one, many)} could not be used: {kinds}{more}"
+    return f"{counted(problems.total(), singular, plural)} could not be used: {kinds}{more}"
 
 
 def _autonomy(summary: DriveSummary) -> str:
     autonomy = summary.autonomy_percent
     if autonomy is None:
-        return "unknown, for nothing was driven"
+        return "unknown, because nothing was driven"
     is_whole = summary.elapsed_s - summary.driven_s < _BRIEF_S
     return f"{autonomy:.1f} %" + ("" if is_whole else f" of the {summary.driven_s:,.1f} s that were driven")
 
@@ -82,15 +82,15 @@ def _interventions(summary: DriveSummary) -> str:
 
 
 def _in_flight(summary: DriveSummary) -> str:
-    usual, most = summary.usual_in_flight, max(summary.in_flight, default=0)
+    usual, maximum = summary.usual_in_flight, max(summary.in_flight, default=0)
     if not usual:
         return ""
-    at_most = f", at most {most}" if most > usual else ""
+    at_most = f", at most {maximum}" if maximum > usual else ""
     return f"; {counted(usual, 'telemetry', 'telemetries')} in flight{at_most}"
 
 
 def _unknown_interventions(summary: DriveSummary) -> str:
-    """A remark on frames without the simulator's interventions in their telemetry."""
+    """A remark on frames whose message lacks the simulator's count of interventions."""
     if not summary.frames:
         return ""
     frames = summary.frames - summary.frames_with_interventions
@@ -100,7 +100,7 @@ def _unknown_interventions(summary: DriveSummary) -> str:
 
 
 def _clock(summary: DriveSummary) -> str:
-    """A remark on the clock of the drive's seconds, where that is not this computer's alone."""
+    """A remark on the clock of the drive's seconds, if it is not only this computer's."""
     if summary.clock == "both":
         return f" ({summary.simulated_s:,.1f} s by the simulator's clock)"
     return " by the simulator's clock" if summary.clock == "simulator" else ""
@@ -110,12 +110,12 @@ def _clock(summary: DriveSummary) -> str:
 class _Sample:
     now_s: float
     replies: int
-    bad: int  # of them
-    total_ms: float  # of all of them
+    bad: int  # unusable messages among the replies
+    total_ms: float  # of all replies
 
 
 class LiveStatus:
-    """Describes a drive's summary as it grows, with the rates since the call of a second ago."""
+    """Describes the growing summary of a drive, with the rates over the last second."""
 
     def __init__(self, summary: DriveSummary) -> None:
         self._summary = summary

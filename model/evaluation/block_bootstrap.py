@@ -1,12 +1,12 @@
-"""Confidence intervals of measures that neighbours in time depend on: a paired bootstrap over blocks.
+"""Confidence intervals of measures over frames that depend on their neighbours in time: a paired block bootstrap.
 
-Neighbouring frames show the same stretch of road, and their errors are alike: taken for independent, they promise
-intervals that are far too narrow. Whole blocks are drawn instead, with replacement (Carlstein 1986, "The use of
-subseries values"; Künsch 1989, "The jackknife and the bootstrap for general stationary observations"). Both
-networks are measured on the same draw, so that what makes a block hard for both cancels out.
+Neighbouring frames show the same stretch of road, so their errors are alike. Treated as independent, they give far
+too narrow intervals. Whole blocks are drawn instead, with replacement (Carlstein 1986, "The use of subseries
+values"; Künsch 1989, "The jackknife and the bootstrap for general stationary observations"). Both networks are
+measured on the same draw, so the difficulty of a block cancels out.
 
-A measure such as the RMSE is a function of sums over frames. Each block is a row of such sums, and each draw adds
-up rows: no frame is touched twice.
+A measure, for example the RMSE, is a function of sums over frames. Each block is a row of sums, and a draw adds up
+rows: each frame is read once.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 Statistic = Callable[[Floats], Floats]
-"""Measures (..., M) of sums (..., K): the last axis is that of the sums."""
+"""Measures (..., M) of sums (..., K): K sums on the last axis."""
 
 DRAWS: Final = 4000
-_CHUNK: Final = 1 << 22  # draws x blocks at once: 32 MB
+_CHUNK: Final = 1 << 22  # draws x blocks computed at once: 32 MB
 _NORMAL: Final = NormalDist()
 
 
 def intervals(sums: Floats, statistic: Statistic, confidence: float, draws: int = DRAWS) -> tuple[Floats, Floats]:
-    """The lower and the upper ends (M,) of the confidence intervals of `statistic`, from the sums of at least two
-    blocks (blocks, K). NaN for a measure that no draw has. The same sums give the same intervals.
+    """The lower and upper ends (M,) of the confidence intervals of `statistic`, from the sums of at least two
+    blocks (blocks, K). NaN for a measure that is not finite in any draw. Equal sums give equal intervals.
     """
     generator = np.random.default_rng(0)
     blocks = len(sums)
-    at_once = max(1, _CHUNK // blocks)
-    sizes = [min(at_once, draws - first) for first in range(0, draws, at_once)]
+    chunk = max(1, _CHUNK // blocks)
+    sizes = [min(chunk, draws - first) for first in range(0, draws, chunk)]
     shares = np.full(blocks, 1 / blocks)
     drawn = np.concatenate([statistic(generator.multinomial(blocks, shares, size=size) @ sums) for size in sizes])
     tail = _tail(blocks, confidence)
@@ -48,18 +48,18 @@ def intervals(sums: Floats, statistic: Statistic, confidence: float, draws: int 
 
 
 def _tail(blocks: int, confidence: float) -> float:
-    """The share of draws beyond each end of the interval: less than half of what `confidence` leaves.
+    """The share of draws beyond each end of the interval: less than (1 - confidence) / 2.
 
-    Of few blocks the plain percentiles are too narrow, by a factor of sqrt((n - 1) / n) and because Student's t is
-    wider than the normal distribution: the expanded percentiles of Hesterberg 2015, "What Teachers Should Know
-    About the Bootstrap", section 5.2.
+    With few blocks, plain percentiles are too narrow: by the factor sqrt((n - 1) / n), and because Student's t is
+    wider than the normal distribution. These are the expanded percentiles of Hesterberg 2015, "What Teachers
+    Should Know About the Bootstrap", section 5.2.
     """
-    wanted = _student_quantile(1 - (1 - confidence) / 2, blocks - 1)
-    return _NORMAL.cdf(-math.sqrt(blocks / (blocks - 1)) * wanted)
+    quantile = _student_quantile(1 - (1 - confidence) / 2, blocks - 1)
+    return _NORMAL.cdf(-math.sqrt(blocks / (blocks - 1)) * quantile)
 
 
 def _student_quantile(probability: float, freedom: int) -> float:
-    """The quantile of Student's t with so many degrees of freedom: Abramowitz and Stegun 1964, 26.7.5."""
+    """The quantile of Student's t with `freedom` degrees of freedom: Abramowitz and Stegun 1964, 26.7.5."""
     z = _NORMAL.inv_cdf(probability)
     return (
         z

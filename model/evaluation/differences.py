@@ -1,8 +1,8 @@
 """The differences between two networks, measure by measure, with confidence intervals.
 
-The rule: B is worse than A if, for any measure, the whole confidence interval of the difference lies on the worse
-side, by more than the tolerance. The intervals of all measures hold together (Bonferroni: each is as much wider):
-however many measures there are, a B that is as good as A is called worse in one of forty comparisons at most.
+B is worse than A if, for any measure, the whole confidence interval of the difference is on the worse side, by
+more than the tolerance. The intervals are widened so that all hold together (Bonferroni). If B is as good as A, at
+most one of forty comparisons calls it worse, however many measures there are.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 from model.evaluation.block_bootstrap import Floats, Statistic, intervals
 from model.runs.run_files import without_nan
 
-CONFIDENCE: Final = 0.95  # that the intervals of all measures hold, together
-FEWEST_BLOCKS: Final = 6  # of fewer, an interval is a guess
+CONFIDENCE: Final = 0.95  # that the intervals of all measures hold together
+FEWEST_BLOCKS: Final = 6  # fewer give no reliable interval
 
 Verdict = Literal["worse", "better", "not told apart", "unknown"]
 
@@ -27,8 +27,8 @@ Verdict = Literal["worse", "better", "not told apart", "unknown"]
 class Measure:
     name: str  # in JSON
     heading: str
-    is_error: bool = True  # less of it is better
-    scale: float | None = None  # the tolerance is a share of this; None: of A's own value
+    is_error: bool = True  # smaller is better
+    scale: float | None = None  # the tolerance is a share of this value; None: of A's measure
 
 
 MEASURES: Final = (
@@ -37,23 +37,24 @@ MEASURES: Final = (
     Measure("balanced_rmse_deg", "balanced RMSE"),
     Measure("correlation", "correlation", is_error=False, scale=1.0),
 )
-"""The measures of `model.metrics` that a network is judged by."""
+"""The measures of `model.metrics` that a comparison judges."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One measure of A and B, and the confidence interval of B - A. What does not exist is NaN."""
+    """One measure of A and B, and the confidence interval of B - A. NaN where a value is missing."""
 
     measure: Measure
     a: float
     b: float
     low: float
     high: float
-    allowed: float  # B may be worse by so much: it does not matter
+    allowed: float  # the tolerance: B may be worse by this much
 
     @property
     def verdict(self) -> Verdict:
-        """Worse or better only if the whole interval is; worse only beyond the tolerance."""
+        """Better if the whole interval is on the better side; worse if it is on the worse side, beyond the
+        tolerance."""
         best, worst = (self.low, self.high) if self.measure.is_error else (-self.high, -self.low)
         if math.isnan(best) or math.isnan(worst):
             return "unknown"
@@ -62,7 +63,7 @@ class Difference:
         return "better" if worst < 0 else "not told apart"
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; what does not exist is None."""
+        """For JSON; None where a value is missing."""
         numbers = {"a": self.a, "b": self.b, "difference": self.b - self.a, "low": self.low, "high": self.high}
         stored: dict[str, Any] = without_nan({**numbers, "allowed": self.allowed})
         return {**stored, "verdict": self.verdict}
@@ -71,13 +72,13 @@ class Difference:
 def compare_sums(
     a: Floats, b: Floats, measures: Sequence[Measure], statistic: Statistic, tolerance: float
 ) -> tuple[Difference, ...]:
-    """The difference in each measure, from the sums of each block of A and of B: (blocks, K) each, in the same
-    order. `statistic` gives the measures of such sums. The intervals of fewer than `FEWEST_BLOCKS` are NaN, unless
-    A and B are the same.
+    """The difference in each measure, from the sums of the blocks of A and of B: (blocks, K) each, in the same
+    order. `statistic` computes the measures from sums. With fewer than `FEWEST_BLOCKS`, intervals are NaN, unless
+    A and B are equal.
     """
     measured_a, measured_b = statistic(a.sum(axis=0)), statistic(b.sum(axis=0))
     low = high = np.full(len(measures), math.nan)
-    if np.array_equal(a, b):  # of however few blocks: there is no difference that chance could have made
+    if np.array_equal(a, b):  # with any number of blocks: equal answers differ by exactly 0
         low = high = measured_b - measured_a
     elif len(a) >= FEWEST_BLOCKS:
         split = a.shape[1]
@@ -89,14 +90,19 @@ def compare_sums(
     values = np.stack([measured_a, measured_b, low, high], axis=1).tolist()
     return tuple(
         Difference(
-            measure, of_a, of_b, low, high, tolerance * (abs(of_a) if measure.scale is None else measure.scale)
+            measure,
+            value_a,
+            value_b,
+            low,
+            high,
+            tolerance * (abs(value_a) if measure.scale is None else measure.scale),
         )
-        for measure, (of_a, of_b, low, high) in zip(measures, values, strict=True)
+        for measure, (value_a, value_b, low, high) in zip(measures, values, strict=True)
     )
 
 
 def overall(differences: Sequence[Difference]) -> Verdict:
-    """B is worse if any measure is; better if one is and none is worse; unknown where there are too few blocks."""
+    """Worse if any measure is worse; else better if any is better; unknown if no measure has an interval."""
     verdicts = {difference.verdict for difference in differences}
     ranked: tuple[Verdict, ...] = ("worse", "better", "not told apart")
     return next((verdict for verdict in ranked if verdict in verdicts), "unknown")

@@ -56,14 +56,14 @@ class Evaluation:
     frames: pa.Table
     """session, row, camera, log_time_ns, crash; recorded and predicted: steering, -1..1; recorded_NAME and
     predicted_NAME: other targets, in their unit."""
-    logs: Mapping[str, Location]  # of the sessions
-    begins_ns: dict[str, int]  # log time of the first message of each of these logs
+    logs: Mapping[str, Location]  # by session
+    begins_ns: dict[str, int]  # log time of the first message, by session
     trained_on: int | None  # frames that the run was trained on; None if its config does not record it
     skipped: Skipped  # pictures that do not decode
-    notices: tuple[str, ...] = ()  # unfinished logs, and logs without a measured frame; of all runs
-    remarks: tuple[str, ...] = ()  # logs in which damage is not noticed
-    answers: AnswerScale = field(default_factory=AnswerScale)  # that is in the predictions
-    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers, and the frames have
+    notices: tuple[str, ...] = ()  # unfinished logs, logs without a measured frame; the same for all runs
+    remarks: tuple[str, ...] = ()  # logs in which damage cannot be detected
+    answers: AnswerScale = field(default_factory=AnswerScale)  # applied to the predictions
+    targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers and the frames have
     max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
 
     @cached_property
@@ -72,7 +72,7 @@ class Evaluation:
 
     @cached_property
     def other_targets(self) -> tuple[TargetErrors, ...]:
-        """The errors of the targets besides steering."""
+        """The errors of the targets other than steering."""
         return tuple(
             target_errors(name, *(self.frames[column].to_numpy() for column in target_columns(name)))
             for name in self.targets[1:]
@@ -80,15 +80,15 @@ class Evaluation:
 
     @cached_property
     def crashes(self) -> int:
-        """The number of frames in crashes and the like: the steering there is no answer to the road."""
+        """The number of frames in crashes, where the steering does not follow the road."""
         return int(pc.sum(self.frames["crash"]).as_py() or 0)
 
     @cached_property
     def driving(self) -> Evaluation:
-        """The evaluation of the frames outside of crashes, by which a network is judged; this one if no frame or
-        every frame is of a crash."""
-        others = self.frames.filter(pc.invert(self.frames["crash"]))
-        return replace(self, frames=others) if self._is_mixed else self
+        """The evaluation of the frames outside crashes, which the verdict uses; this evaluation itself if no frame
+        or every frame is of a crash."""
+        outside = self.frames.filter(pc.invert(self.frames["crash"]))
+        return replace(self, frames=outside) if self._is_mixed else self
 
     @property
     def _is_mixed(self) -> bool:
@@ -96,7 +96,7 @@ class Evaluation:
 
     @property
     def without_crashes(self) -> Measures | None:
-        """The measures outside of crashes; None if no frame or every frame is of a crash."""
+        """The measures outside crashes; None if no frame or every frame is of a crash."""
         return self.driving.measures if self._is_mixed else None
 
     @cached_property
@@ -107,7 +107,7 @@ class Evaluation:
 
     @cached_property
     def sessions(self) -> dict[str, Measures]:
-        """The measures of each session that has frames here."""
+        """The measures of each session with measured frames."""
         return {session: self._measure(part) for session, part in by_session(self.frames)}
 
     @cached_property
@@ -122,7 +122,7 @@ class Evaluation:
         return measure(frames["predicted"].to_numpy(), frames["recorded"].to_numpy(), max_deg=self.max_deg)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, in the words of metrics.jsonl; a measure that does not exist (NaN) is None."""
+        """For JSON, with the names of metrics.jsonl; None in place of NaN."""
         whole = _as_dict(self.measures)
         targets = [without_nan(target.as_dict()) for target in self.other_targets]
         whole["zero"]["balanced_rmse_deg"] = self.balanced_rmse_deg["zero"]
@@ -145,17 +145,17 @@ class Evaluation:
 
 
 def target_columns(target: TargetName) -> tuple[str, str]:
-    """The names of the columns of an evaluation's frames with the predicted and the recorded values of a target
-    besides steering."""
+    """The names of the columns with the predicted and the recorded values of a target other than steering."""
     name = TARGETS[target].answer_name
     return f"predicted_{name}", f"recorded_{name}"
 
 
 def evaluate(run: Path | str, index: Location | str, split: Split = "validation") -> Evaluation:
-    """Measure a run on a split of `index`: what the car itself saw, unaltered, against how it was driven.
+    """Measure a run on a split of `index`: its answers to the centre camera's unaltered pictures, against the
+    recorded steering.
 
-    Raises RunError if the run is incomplete or damaged, DatasetError if the index is, or if the split is empty,
-    LogError for a damaged log.
+    Raises RunError if the run is incomplete or damaged, DatasetError if the index is damaged or the split is
+    empty, LogError for a damaged log.
     """
     (evaluation,) = evaluate_runs([run], index, split)
     return evaluation
@@ -164,7 +164,7 @@ def evaluate(run: Path | str, index: Location | str, split: Split = "validation"
 def evaluate_runs(
     runs: Sequence[Path | str], index: Location | str, split: Split = "validation"
 ) -> list[Evaluation]:
-    """`evaluate` for several runs at once: each picture is decoded once, and all have the same frames."""
+    """`evaluate` for several runs at once, on the same frames. Each picture is decoded once."""
     with Samples(index) as samples:
         view = samples.driving_view(split)
         if not len(view):
@@ -176,7 +176,7 @@ def evaluate_runs(
 
 
 def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evaluation:
-    """Measure a run on all frames of some logs that can be used, whether or not they are in an index.
+    """Measure a run on all usable frames of some logs, which need not be in an index.
 
     Raises RunError if the run is incomplete or damaged, LogError or DatasetError if a log is.
     """
@@ -185,7 +185,7 @@ def evaluate_sessions(run: Path | str, logs: Sequence[Location | str]) -> Evalua
 
 
 def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Location | str]) -> list[Evaluation]:
-    """`evaluate_sessions` for several runs at once: each picture is decoded once, all have the same frames."""
+    """`evaluate_sessions` for several runs at once, on the same frames. Each picture is decoded once."""
     paths = by_session_name(map(location, logs))
     ahead_s = [speed_ahead_s_of_run(Path(run)) for run in runs if "speed" in targets_of_run(Path(run))]
     config = IndexConfig(
@@ -199,7 +199,7 @@ def evaluate_runs_on_sessions(runs: Sequence[Path | str], logs: Sequence[Locatio
         indexed = build_index(list(paths.values()), Path(folder), config)
         evaluations = evaluate_runs(runs, folder)
     notices = [*evaluations[0].notices, *indexed.notices] + [
-        f"{path}: not measured: no picture of the centre camera that can be used"
+        f"{path}: not measured: it has no usable picture of the centre camera"
         for session, path in paths.items()
         if session not in evaluations[0].sessions
     ]
@@ -214,16 +214,16 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
     loaders: list[Loader] = []
 
     def batches(picture: PictureSpec) -> Iterable[tuple[NDArray[np.int64], Image]]:
-        # each picture is decoded once
+        # without a budget for decoded pictures: each picture is used once
         loaders.append(Loader(samples, view, batch=BATCH, budget_bytes=0, seen=picture))
         return loaders[-1].crops(np.arange(len(view)))
 
     answers, is_decoded = predict_crops(runs, batches, len(view))
-    skipped = loaders[0].skipped  # for each network the same
+    skipped = loaders[0].skipped  # the same for each network
     if not is_decoded.any():
         _, name = next(iter(skipped))
         raise DatasetError(
-            f"none of {counted(len(view), 'picture')} decodes, such as that of {name}; look with `bc-log check`"
+            f"none of {counted(len(view), 'picture')} decodes, for example {name}; look with `bc-log check`"
         )
     frames = _from_index(view, samples)
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
@@ -252,17 +252,17 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
 
 
 def _unmeasured(run: Path, samples: Samples) -> dict[TargetName, str]:
-    """The targets of a run that cannot be measured by these samples, and why."""
+    """The targets of a run that cannot be measured on these samples, with the reasons."""
     targets = targets_of_run(run)
     reasons = {
-        name: f"{samples.path}: has no labels of the {name}, which is not measured; run `bc-index` again"
+        name: f"{samples.path}: has no labels of {name}, so it is not measured; run `bc-index` again"
         for name in samples.missing(targets)
     }
     answered_s, recorded_s = speed_ahead_s_of_run(run), samples.speed_ahead_s
     if "speed" in targets and "speed" not in reasons and answered_s != recorded_s:
         reasons["speed"] = (
-            f"{run}: answers the speed of {answered_s:g} s later, and the labels are of {recorded_s:g} s later:"
-            " its speed is not measured; measure it separately, with --session or an index of `bc-index"
+            f"{run}: its speed is not measured: it answers the speed {answered_s:g} s ahead, and the labels have"
+            f" the speed {recorded_s:g} s ahead; measure it separately, with --session or an index of `bc-index"
             f" --speed-ahead {answered_s:g}`"
         )
     return reasons
@@ -274,18 +274,19 @@ def _with_answers(
     answers: NDArray[np.float64],
     targets: Sequence[TargetName],
 ) -> pa.Table:
-    """The frames, with a network's answers for `targets`, (N,) or (N, K), and the `recorded` values of the
-    measured targets besides steering, (N,) each."""
+    """The frames with a network's answers for `targets`, (N,) or (N, K), and with the `recorded` values of the
+    other measured targets, (N,) each."""
     frames = frames.append_column("predicted", pa.array(steering_in(answers)))
     for name, labels in recorded.items():
-        of_answers, of_labels = target_columns(name)
-        answered = answers[:, targets.index(name)] * TARGETS[name].per_unit
-        frames = frames.append_column(of_answers, pa.array(answered)).append_column(of_labels, pa.array(labels))
+        predicted_column, recorded_column = target_columns(name)
+        predicted = answers[:, targets.index(name)] * TARGETS[name].per_unit
+        frames = frames.append_column(predicted_column, pa.array(predicted))
+        frames = frames.append_column(recorded_column, pa.array(labels))
     return frames
 
 
 def _from_index(view: pa.Table, samples: Samples) -> pa.Table:
-    """The columns of `_FROM_INDEX`. Raises DatasetError for what no index holds."""
+    """The columns of `_FROM_INDEX`. Raises DatasetError if one is missing, has nulls or has another type."""
     try:
         frames = view.select(_FROM_INDEX.names).cast(_FROM_INDEX)
         is_damaged = any(column.null_count for column in frames.columns)

@@ -1,4 +1,4 @@
-"""Predictions of networks for pictures, the same way in training, evaluation and driving."""
+"""Predictions of networks for pictures: the same code for training, evaluation and driving."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from model.network.picture_network import PictureNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network, picture_of_run
 
-BATCH: Final = 64  # what stays in a processor's cache
+BATCH: Final = 64  # fits a processor's cache
 
 AttentionCallback = Callable[[int, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Called with attention maps: the number of the run (0, 1 ...), numbers of pictures (N,), their crops
-(N, height, width, 3) BGR, and the maps (N, height, width), 0..1."""
+"""Called with the number of the run (0, 1 ...), the numbers of pictures (N,), their crops (N, height, width, 3)
+BGR, and their attention maps (N, height, width), 0..1."""
 
 BatchesOf = Callable[[PictureSpec], Iterable[tuple[NDArray[np.int64], Image]]]
-"""The pictures as a network sees them: numbers of pictures, and their crops."""
+"""Yields batches of pictures as a network sees them: their numbers and their crops."""
 
 
 @torch.inference_mode()
@@ -35,8 +35,8 @@ def predict(
     network: PictureNetwork, loader: Loader, advance: Callable[[int], object] = lambda samples: None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The network's answers and the recorded values, steering (N,) or targets (N, K), for a loader's samples in
-    their order; float32 arithmetic on the network's device. `advance` is called with the number of samples done
-    since the last call."""
+    order. Arithmetic is float32 on the network's device. `advance` is called with the number of samples done since
+    the last call."""
     network.eval()
     device = next(network.parameters()).device
     predicted, recorded = [np.zeros((0, *answer_shape(network)))], [np.zeros((0, *loader.rows.label.shape[1:]))]
@@ -55,11 +55,11 @@ def predict_crops(
     on_attention: AttentionCallback | None = None,
     on_batch: Callable[[], object] = lambda: None,
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.bool_]]:
-    """The answers of each run's network for `count` pictures, steering (count,) or targets (count, K), and of
-    which pictures there was a crop (count,); with a progress bar. Networks that see the same share its decoding.
-    `on_batch` is called after each of the `batches`, and may raise what ends it.
+    """The answers of each run's network for `count` pictures, steering (count,) or targets (count, K), and which
+    pictures had a crop (count,). Shows a progress bar. Networks that see the same picture share its decoding.
+    `on_batch` is called after each batch, and may raise an exception to stop.
 
-    Raises RunError if a run is incomplete or damaged, or its network gives no number.
+    Raises RunError if a run is incomplete or damaged, or if its network answers a number that is not finite.
     """
     pictures = [picture_of_run(run) for run in runs]
     networks = [load_network(run).to(memory_format=torch.channels_last) for run in runs]  # type: ignore[call-overload]
@@ -84,7 +84,7 @@ def predict_crops(
                         raise RunError(f"{runs[at]}: {error}") from None
                     if not answers.isfinite().all():
                         raise RunError(
-                            f"{runs[at]}: its network predicts something that is not a number; train it again"
+                            f"{runs[at]}: its network predicts a number that is not finite; train it again"
                         )
                     predicted[at][numbers] = answers.numpy()
                 advance(len(numbers))
@@ -97,5 +97,6 @@ def answer_shape(network: PictureNetwork) -> tuple[int, ...]:
 
 
 def as_input(pictures: NDArray[np.uint8]) -> torch.Tensor:
-    """Pictures (N, height, width, 3) as the network's (N, 3, height, width), without a copy: channels_last."""
+    """Pictures (N, height, width, 3) as the network's input (N, 3, height, width), channels_last, without a
+    copy."""
     return torch.from_numpy(pictures).permute(0, 3, 1, 2)

@@ -24,14 +24,14 @@ from model.evaluation.predict import BATCH, predict_crops
 from model.runs.run_folder import picture_of_run, run_name, weights_checksum
 
 LogAttentionCallback = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Called with attention maps, some pictures at a time: the run's name, their log times (N,) in ns, their
-crops (N, height, width, 3) BGR, and the maps (N, height, width), 0..1 (see visual_backprop.py)."""
+"""Called for some pictures at a time: the run's name, the log times (N,) in ns, the crops (N, height, width, 3)
+BGR, and the attention maps (N, height, width), 0..1 (see visual_backprop.py)."""
 
 
 def run_names(runs: Sequence[Path]) -> list[str]:
-    """Distinct names of runs: those of their folders, and where two are alike, as much of the path as differs.
+    """Distinct names of runs: their folders' names; for equal names, as much of the path as makes them differ.
 
-    Raises RunError if one is given twice.
+    Raises RunError if a run is given twice.
     """
     places = [real_path(run) for run in runs]
     names = [run_name(place) for place in places]
@@ -54,12 +54,12 @@ def predict_log(
     on_attention: LogAttentionCallback | None = None,
     on_batch: Callable[[], object] = lambda: None,
 ) -> LogPredictions:
-    """Predict the steering of some runs' networks for a log, finished or not, in float32, from the pixels that
-    they see when they drive. `on_attention` gets maps of where they look; `on_batch` is called now and then, and
-    may raise what ends it.
+    """Predict the steering of some runs' networks for a log, finished or not, in float32, from the same pixels as
+    in driving. `on_attention` gets attention maps. `on_batch` is called after each batch, and may raise an
+    exception to stop.
 
-    Raises RunError if a run is incomplete or damaged, or given twice, LogError for a damaged log, DatasetError for
-    one without a picture that the network could see.
+    Raises RunError if a run is incomplete, damaged or given twice; LogError for a damaged log; DatasetError for a
+    log without a usable picture.
     """
     log, folders = Path(log), [Path(run) for run in runs]
     names = run_names(folders)
@@ -99,7 +99,7 @@ def predict_log(
 
 
 def _preprocessing(names: Sequence[str], runs: Sequence[Path]) -> dict[str, str]:
-    """The metadata of the networks' pictures: once where all see the same, else of each run by name."""
+    """The metadata of the networks' pictures: once if all see the same, else for each run by name."""
     pictures = [picture_of_run(run) for run in runs]
     if len(set(pictures)) == 1:
         return metadata_of(pictures[0])

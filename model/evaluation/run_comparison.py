@@ -25,13 +25,13 @@ from model.evaluation.evaluate import Evaluation, target_columns
 from model.metrics import TURNING
 from model.runs.run_folder import run_name
 
-BLOCK_S: Final = 5.0  # measured: what one second has to do with another is gone after 2 to 5 s
-MANY_SESSIONS: Final = 10  # these are drawn whole instead of blocks: sessions differ by more than blocks do
+BLOCK_S: Final = 5.0  # measured: errors are uncorrelated after 2 to 5 s
+MANY_SESSIONS: Final = 10  # from this number on, whole sessions are drawn: they differ more than blocks do
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Predictions of two runs for the same frames, and how their errors differ."""
+    """Predictions of two runs for the same frames, and the differences of their errors."""
 
     a: Evaluation
     b: Evaluation
@@ -39,7 +39,7 @@ class Comparison:
 
     @cached_property
     def unit(self) -> NDArray[np.int64]:
-        """The block, or the session where there are many, that each frame is in: numbers from 0, (frames,)."""
+        """The number of each frame's block, or of its session if there are many: from 0, (frames,)."""
         session = self.a.frames["session"].combine_chunks().dictionary_encode()
         number: NDArray[np.int64] = session.indices.to_numpy().astype(np.int64)
         if self.units == "sessions":
@@ -48,7 +48,7 @@ class Comparison:
 
     @property
     def units(self) -> str:
-        """The unit that is drawn, and counted: blocks or sessions."""
+        """The unit that is drawn and counted: blocks or sessions."""
         return "sessions" if len(self.a.sessions) >= MANY_SESSIONS else "blocks"
 
     @property
@@ -57,7 +57,7 @@ class Comparison:
 
     @cached_property
     def answers_apart_deg(self) -> float:
-        """Root of the mean square of B's answers minus A's, in degrees: 0 for the same network."""
+        """The root mean square of B's answers minus A's, in degrees: 0 for the same network."""
         a, b = (run.frames["predicted"].to_numpy() for run in (self.a, self.b))
         return assumed_deg(self.a.max_deg) * float(np.sqrt(np.square(b - a).mean()))
 
@@ -94,16 +94,16 @@ class Comparison:
 
 
 def blocks_of(session: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The number of the block of `BLOCK_S` that each frame is in, from 0. Both are (frames,), in the order of the
-    recording. A block ends with its session, and where half of one is missing or a clock was set back."""
+    """The number of each frame's block of `BLOCK_S`, from 0. Both arguments are (frames,), in the order of the
+    recording. A block ends with its session, at a gap of half a block, and where the clock was set back."""
     step_ns = np.diff(time_ns)
     is_apart = (np.diff(session) != 0) | (step_ns < 0) | (step_ns > BLOCK_S / 2 * 1e9)
     return block_numbers(time_ns, np.concatenate([[0], np.cumsum(is_apart)]), BLOCK_S)
 
 
 def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | None = MAX_STEERING_DEG) -> Floats:
-    """The sums of each block, (blocks, K), for `measures_of_sums`. `max_deg` is the wheels'
-    angle at steering 1."""
+    """The sums of each block, (blocks, K), for `measures_of_sums`. `max_deg` is the wheels' angle at steering
+    1."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
     off_deg = assumed_deg(max_deg) * (predicted - recorded)
     is_turning = np.abs(recorded) > TURNING
@@ -127,7 +127,7 @@ def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | N
 
 
 def _sums_of_targets(frames: pa.Table, unit: NDArray[np.int64], targets: Sequence[TargetName]) -> Iterator[Floats]:
-    """For each target the sums of each block, (blocks, 2): frames where it is known, and its squared errors."""
+    """For each target, the sums of each block (blocks, 2): the frames with a label, and their squared errors."""
     for target in targets:
         predicted, recorded = (frames[column].to_numpy() for column in target_columns(target))
         off = predicted - recorded
@@ -148,20 +148,20 @@ def _summed(per_frame: Floats, unit: NDArray[np.int64]) -> Floats:
 
 
 def measures_of_sums(sums: Floats) -> Floats:
-    """`MEASURES` of such sums, and the RMSE of each further target: (..., K) to (..., 4 and more); NaN where there
-    are no such frames.
+    """`MEASURES`, and the RMSE of each further target, from sums of blocks: (..., K) to (..., 4 or more). NaN
+    where a measure has no frames.
 
-    A network that answers the same to everything has the correlation 0 here: it is worse than any that follows the
-    road. Where the recorded steering is constant there is none.
+    A network with constant answers has the correlation 0: it is worse than any that follows the road. If the
+    recorded steering is constant, the correlation is NaN.
     """
     count, squares, turns, turn_errors, p, r, pp, rr, pr = np.moveaxis(sums[..., :9], -1, 0)
     in_bin, bin_squares = sums[..., 9 : 9 + BINS], sums[..., 9 + BINS : 9 + 2 * BINS]
-    of_targets = sums[..., 9 + 2 * BINS :]
+    target_sums = sums[..., 9 + 2 * BINS :]
     with np.errstate(divide="ignore", invalid="ignore"):
         bin_means = np.where(in_bin > 0, bin_squares / in_bin, 0.0)
         covariance, variance_p, variance_r = pr - p * r / count, pp - p * p / count, rr - r * r / count
         correlation = covariance / np.sqrt(variance_p * variance_r)
-        rounding = 1e-12 * count  # of sums of squares of at most 1
+        rounding = 1e-12 * count  # rounding error of a sum of squares up to 1
         correlation = np.where(variance_p > rounding, correlation, 0.0)
         correlation = np.where(variance_r > rounding, correlation, np.nan)
         return np.stack(
@@ -170,7 +170,7 @@ def measures_of_sums(sums: Floats) -> Floats:
                 turn_errors / turns,
                 np.sqrt(bin_means.sum(axis=-1) / (in_bin > 0).sum(axis=-1)),
                 correlation,
-                *np.moveaxis(np.sqrt(of_targets[..., 1::2] / of_targets[..., ::2]), -1, 0),
+                *np.moveaxis(np.sqrt(target_sums[..., 1::2] / target_sums[..., ::2]), -1, 0),
             ],
             axis=-1,
         )

@@ -1,1 +1,1 @@
-"""Networks, how their layers are made fast on a processor, and where they look."""
+"""Networks, faster layers for processors, and attention maps."""

@@ -1,4 +1,4 @@
-"""The network of a training or a run: its name, its arguments, and how it is made and tried."""
+"""The network of a training or a run: its name, its arguments, how to build it, and how to test it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from model.network.names import BUILT_IN, is_own
 from model.network.own_code import OwnCode, load_code
 from model.network.picture_network import PictureNetwork
 
-_TRIED: Final = 2  # pictures: shows a network that mixes them up
+_TRIED: Final = 2  # pictures: one would not reveal a network that mixes up the pictures of a batch
 
 
 class OwnNetwork(PictureNetwork):
@@ -41,19 +41,19 @@ class OwnNetwork(PictureNetwork):
 
 @dataclass(frozen=True)
 class NetworkChoice:
-    """A network that can be made, again and again."""
+    """A network that can be built any number of times."""
 
-    name: str  # of the toolkit's, or as `OwnCode.label`
+    name: str  # of a built-in network, or `OwnCode.label`
     arguments: Mapping[str, Any]
     make: Callable[..., Any] = field(repr=False)
     code: OwnCode | None = None
-    outputs: int = 1  # how many targets it is to answer
+    outputs: int = 1  # number of targets that the network answers
 
     @property
     def description(self) -> dict[str, Any]:
-        """The `network` of a run's config.json."""
-        of_file = {} if self.code is None or not self.code.source else {"file_sha256": self.code.file_sha256}
-        return {"name": self.name, "arguments": dict(self.arguments), **of_file}
+        """The value of `network` in a run's config.json."""
+        checksum = {} if self.code is None or not self.code.source else {"file_sha256": self.code.file_sha256}
+        return {"name": self.name, "arguments": dict(self.arguments), **checksum}
 
     @property
     def picture(self) -> PictureSpec:
@@ -64,8 +64,8 @@ class NetworkChoice:
         return picture
 
     def build(self) -> PictureNetwork:
-        """A new network, with random weights. Raises RunError where that fails."""
-        # with one target, its default is left: in an older network `outputs` need not mean the targets
+        """A new network with random weights. Raises RunError if that fails."""
+        # With one target, `outputs` keeps its default: in an older network it may have another meaning.
         takes_outputs = _takes(self.make, "outputs") and (self.outputs > 1 or _needs(self.make, "outputs"))
         outputs = {"outputs": self.outputs} if takes_outputs else {}
         try:
@@ -73,20 +73,20 @@ class NetworkChoice:
         except RunError:
             raise
         except Exception as error:
-            given = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
-            raise RunError(f"{self._label}({printable(given)}) fails ({_why(error)})") from None
+            arguments = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
+            raise RunError(f"{self._label}({printable(arguments)}) fails ({_why(error)})") from None
         if not isinstance(made, nn.Module):
-            raise RunError(f"{self._label} gives a {type(made).__name__}: a torch.nn.Module was expected")
+            raise RunError(f"{self._label} returns a {type(made).__name__}: a torch.nn.Module was expected")
         network = made if isinstance(made, PictureNetwork) else OwnNetwork(made)
         network.outputs = self.outputs
         return network
 
     def try_out(self, picture: PictureSpec, device: torch.device) -> int:
-        """Make a network and show it pictures; returns the number of its parameters.
+        """Build a network and let it answer pictures. Returns the number of its parameters.
 
-        Raises RunError for a network that cannot be trained: its answers have another shape than one number a
-        picture and target, or are not finite, or its weights cannot be stored. PyTorch's meta device is not used:
-        its first answer takes a second of imports, a real answer of the original network a twentieth of that.
+        Raises RunError for a network that cannot be trained: its answers are not one number for each picture and
+        target, or not finite, or a run cannot store its weights. PyTorch's meta device is not used: its first
+        answer takes a second of imports; a real answer of the original network takes a twentieth of that.
         """
         with torch.random.fork_rng(devices=[]):
             network = self.build()
@@ -99,7 +99,7 @@ class NetworkChoice:
 
     @torch.inference_mode()
     def try_network(self, network: PictureNetwork, picture: PictureSpec) -> None:
-        """Show a network pictures. Raises RunError if its answers are not steering."""
+        """Let a network answer pictures. Raises RunError if it fails, or its answers are not finite numbers."""
         height, width, _ = picture.shape
         device = next(network.parameters()).device
         noise = np.random.default_rng(0).integers(0, 256, (_TRIED, height, width, 3), np.uint8)
@@ -113,11 +113,11 @@ class NetworkChoice:
         except Exception as error:
             raise RunError(
                 f"{self._label} cannot take pictures of {picture.width_px} x {picture.height_px} px"
-                f" ({_why(error)}); give --picture-px WIDTH HEIGHT that it can"
+                f" ({_why(error)}); give a size that it can take with --picture-px WIDTH HEIGHT"
             ) from None
         network.train(was_training)
         if not answers.isfinite().all():
-            raise RunError(f"{self._label} gives an answer that is not a number")
+            raise RunError(f"{self._label} gives an answer that is not finite")
 
     @property
     def _label(self) -> str:
@@ -144,17 +144,16 @@ class NetworkChoice:
 
 
 def choose_network(config: TrainConfig) -> NetworkChoice:
-    """The network of a training; a user's own code is run. Raises RunError if the code is missing or takes other
-    arguments."""
-    given = _parsed(config.network_args)
+    """The network of a training. Runs the code of a user's own network. Raises RunError if the code is missing."""
+    arguments = _parsed(config.network_args)
     if is_own(config.network):
         code = load_code(config.network)
-        choice = NetworkChoice(code.label, given, code.make, code)
+        choice = NetworkChoice(code.label, arguments, code.make, code)
     else:
-        choice = built_in(config.network, given)
+        choice = built_in(config.network, arguments)
     choice = replace(choice, outputs=len(config.targets))
     if _takes(choice.make, "dropout"):
-        return replace(choice, arguments={"dropout": config.dropout, **given})
+        return replace(choice, arguments={"dropout": config.dropout, **arguments})
     if config.dropout not in (0.0, TrainConfig.dropout):
         raise UsageError(
             f"--dropout {config.dropout:g}: the network {printable(choice.name)} has none; leave it out"
@@ -169,8 +168,8 @@ def built_in(name: str, arguments: Mapping[str, Any]) -> NetworkChoice:
 
 
 def chosen_picture(config: TrainConfig, network: NetworkChoice) -> PictureSpec:
-    """The picture that the network of a training sees: its default, changed by the settings. Raises UsageError for
-    settings that give no picture."""
+    """The picture that the network of a training sees: the network's default with the given settings. Raises
+    UsageError for settings that give no picture."""
     wanted: dict[str, Any] = {}
     if config.picture_px is not None:
         wanted["width_px"], wanted["height_px"] = config.picture_px
@@ -185,7 +184,7 @@ def chosen_picture(config: TrainConfig, network: NetworkChoice) -> PictureSpec:
 
 
 def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
-    """The values of NAME=VALUE: numbers, true, false and null as in JSON, all else as text."""
+    """The values of NAME=VALUE arguments: JSON if the value is valid JSON, else text."""
     values: dict[str, Any] = {}
     for argument in arguments:
         name, _, text = argument.partition("=")
@@ -198,15 +197,15 @@ def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
 def _takes(make: Callable[..., Any], argument: str) -> bool:
     try:
         return argument in inspect.signature(make).parameters
-    except (TypeError, ValueError):  # of what is not written in Python
+    except (TypeError, ValueError):  # a callable that is not written in Python
         return False
 
 
 def _needs(make: Callable[..., Any], argument: str) -> bool:
-    """Whether an argument, which it takes, has no default."""
+    """True if `argument`, a parameter of `make`, has no default."""
     return inspect.signature(make).parameters[argument].default is inspect.Parameter.empty
 
 
 def _why(error: Exception) -> str:
     needs_gpu = not torch.cuda.is_available() and "cuda" in f"{type(error)} {error}".lower()
-    return in_one_line(error) + (": it needs a GPU, and PyTorch finds none here" if needs_gpu else "")
+    return in_one_line(error) + (": it needs a GPU, and PyTorch finds none" if needs_gpu else "")

@@ -1,4 +1,4 @@
-"""Faster layers: oneDNN's own for a network that learns, packed weights and max pooling for one that drives."""
+"""Faster layers: oneDNN's tensors for training; packed weights and faster max pooling for driving."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from torch import Tensor, nn
 
 
 def swap_layers(network: nn.Module, swap: Callable[[nn.Module], nn.Module | None]) -> Callable[[], None]:
-    """Put the layers that `swap` returns in the place of a network's own (None: it stays); returns what undoes it.
+    """Replace each layer of a network by the one that `swap` returns for it; None keeps the layer. Returns a
+    function that undoes it.
 
     If `swap` raises, nothing is changed.
     """
@@ -31,14 +32,14 @@ def swap_layers(network: nn.Module, swap: Callable[[nn.Module], nn.Module | None
     return undo
 
 
-# oneDNN multiplies bfloat16 weights in an order of its own. PyTorch's layers bring them into it at every call, and
-# for one picture that takes a quarter of the time: 0.5 ms of 2.2. These operators are what torch.compile calls for
-# frozen weights; they have no public name, and torch.compile itself needs a C++ compiler.
+# oneDNN needs bfloat16 weights in its own memory layout. PyTorch's layers convert them at every call: for one
+# picture, that takes a quarter of the time, 0.5 of 2.2 ms. torch.compile calls these operators for frozen weights.
+# They have no public name, and torch.compile itself needs a C++ compiler.
 _ONEDNN = torch.ops.mkldnn
 
 
 class PackedConvolution(nn.Module):
-    """The same as an `nn.Conv2d` of bfloat16 weights that pads with zeros."""
+    """Equal to an `nn.Conv2d` with bfloat16 weights and zero padding."""
 
     def __init__(self, layer: nn.Conv2d) -> None:
         super().__init__()
@@ -47,7 +48,7 @@ class PackedConvolution(nn.Module):
         self._bias = layer.bias
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """(N, channels, height, width) to the same."""
+        """(N, channels, height, width) to a tensor of the same axes."""
         outputs: Tensor = _ONEDNN._convolution_pointwise(
             inputs, self._weight, self._bias, *self._options, "none", [], ""
         )
@@ -55,7 +56,7 @@ class PackedConvolution(nn.Module):
 
 
 class PackedLinear(nn.Module):
-    """The same as an `nn.Linear` of bfloat16 weights."""
+    """Equal to an `nn.Linear` with bfloat16 weights."""
 
     def __init__(self, layer: nn.Linear) -> None:
         super().__init__()
@@ -70,16 +71,16 @@ class PackedLinear(nn.Module):
 
 @torch.inference_mode()
 def pack_weights(network: nn.Module) -> Callable[[], None] | None:
-    """Put packed layers in the place of a network's own, whose weights are bfloat16; returns what undoes it. None,
-    and nothing is changed, where this PyTorch or this processor has none."""
+    """Replace a network's layers, whose weights are bfloat16, by packed ones. Returns a function that undoes it,
+    or None, with nothing changed, if this PyTorch or processor does not support them."""
     try:
         return swap_layers(network, _packed)
-    except (AttributeError, RuntimeError):  # no such operator, or none for this processor
+    except (AttributeError, RuntimeError):  # the operator is missing, or does not support this processor
         return None
 
 
 def _packed(layer: nn.Module) -> nn.Module | None:
-    """Each is tried once: a processor may have the weights' order, and not the operator."""
+    """The packed layer, or None. It is called once: a processor may support the layout but not the operator."""
     if type(layer) is nn.Conv2d and isinstance(layer.padding, tuple) and layer.padding_mode == "zeros":
         packed: nn.Module = PackedConvolution(layer)
         sides = [(side - 1) * step + 1 for side, step in zip(layer.kernel_size, layer.dilation, strict=True)]
@@ -93,10 +94,10 @@ def _packed(layer: nn.Module) -> nn.Module | None:
 
 
 class SlicedMaxPool(nn.Module):
-    """The same as `nn.MaxPool2d(2)`, to the last bit, for pictures in channels_last.
+    """Equal to `nn.MaxPool2d(2)`, to the last bit, for pictures in channels_last.
 
-    PyTorch's own also finds out where each maximum was, and takes two to three times as long in bfloat16: 0.2 ms
-    of the 2 ms that a picture takes.
+    PyTorch's layer also computes the index of each maximum, and takes two to three times as long in bfloat16: 0.2
+    of 2 ms for a picture.
     """
 
     def forward(self, inputs: Tensor) -> Tensor:
@@ -108,7 +109,7 @@ class SlicedMaxPool(nn.Module):
 
 
 def sliced_max_pool(layer: nn.Module) -> nn.Module | None:
-    """A `SlicedMaxPool` equal to a layer; None if the layer is not a plain 2x2 pooling."""
+    """A `SlicedMaxPool` equal to `layer`; None if the layer is not a plain 2x2 max pooling."""
     if type(layer) is not nn.MaxPool2d or layer.ceil_mode or layer.return_indices:
         return None
     settings = [sides(side) for side in (layer.kernel_size, layer.stride, layer.padding, layer.dilation)]
@@ -116,23 +117,23 @@ def sliced_max_pool(layer: nn.Module) -> nn.Module | None:
 
 
 def sides(value: int | tuple[int, ...]) -> tuple[int, ...]:
-    """Both sides of a layer's kernel, stride or the like, which may be given as one number."""
+    """A layer's kernel size, stride, padding or dilation as a tuple, if it may be one number."""
     return (value, value) if isinstance(value, int) else tuple(value)
 
 
 class OneDnnLayers(nn.Sequential):
-    """`nn.Conv2d` that pads with zeros, `nn.MaxPool2d` and `nn.ReLU`: the same as an `nn.Sequential` of them, only
-    that hooks of the convolutions are not called while it learns; in oneDNN's own tensors where that is faster.
+    """An `nn.Sequential` of `nn.Conv2d` with zero padding, `nn.MaxPool2d` and `nn.ReLU`. In training it uses
+    oneDNN's tensors where that is faster, and then does not call hooks of the convolutions.
 
-    Of a step on a processor with AMX, whose convolutions are quick, nearly half was PyTorch's max pooling: it
-    keeps an int64 for each maximum, and clears the whole gradient before it fills in a quarter. oneDNN keeps a
-    byte, and writes the gradient once, but PyTorch leaves pooling to it only in tensors of oneDNN's own kind and
-    layout. For AMX it is the layout of PyTorch's convolutions, too, and all results are the same to the last bit.
-    Without AMX it is another, in which convolutions were slower: there, and in float32, everything stays as it is.
+    With AMX, convolutions are fast, and PyTorch's max pooling took nearly half of a step: it keeps an int64 for
+    each maximum, and clears the whole gradient before it fills in a quarter. oneDNN keeps a byte, and writes the
+    gradient once. PyTorch uses oneDNN's pooling only for tensors of oneDNN's own type and layout. With AMX, this
+    is also the layout of PyTorch's convolutions, and all results are equal to the last bit. Without AMX, the
+    layout differs and convolutions were slower, so it is not used; nor in float32.
     """
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """(N, channels, height, width) to the same."""
+        """(N, channels, height, width) to a tensor of the same axes."""
         if not (self.training and torch.is_grad_enabled() and _is_faster(inputs)):
             outputs: Tensor = super().forward(inputs)  # type: ignore[no-untyped-call]
             return outputs
@@ -149,12 +150,12 @@ def _is_faster(inputs: Tensor) -> bool:
         and torch.get_autocast_dtype("cpu") == torch.bfloat16
         and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
         and bool(torch.cpu.get_capabilities().get("amx_bf16"))
-        and "ONEDNN_MAX_CPU_ISA" not in os.environ  # may switch AMX off
+        and "ONEDNN_MAX_CPU_ISA" not in os.environ  # it may disable AMX
     )
 
 
 def _convolved(layer: nn.Conv2d, planes: Tensor) -> Tensor:
-    """The convolution in bfloat16, as autocast would run it if it knew this operator."""
+    """The convolution in bfloat16, as autocast would run it if it supported this operator."""
     options: Any = layer.padding, layer.stride, layer.dilation, layer.groups
     bias = None if layer.bias is None else layer.bias.to(torch.bfloat16)
     return torch.mkldnn_convolution(planes, layer.weight.to(torch.bfloat16), bias, *options)

@@ -1,4 +1,4 @@
-"""What a network makes of pictures before it answers: alike pictures have alike features."""
+"""Inner features of a network: similar pictures have similar features."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from model.network.picture_network import PictureNetwork
 
 @torch.inference_mode()
 def answers_and_features(network: PictureNetwork, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """The answers to inputs (N, channels, height, width), and features (N, D): what goes into the second
-    fully connected layer or, of one, into that. The later layers know little but the steering. Of a network
-    without any: the answers."""
-    given: list[Tensor] = []
+    """The answers to inputs (N, channels, height, width), and features (N, D).
+
+    The features are the input of the second fully connected layer, because later layers hold little more than the
+    steering. With one such layer: its input. Without one: the answers.
+    """
+    layer_inputs: list[Tensor] = []
 
     def called(layer: nn.Module, inputs: tuple[Any, ...]) -> None:
-        given.append(inputs[0])
+        layer_inputs.append(inputs[0])
 
     layers = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
     hooks = [layer.register_forward_pre_hook(called) for layer in layers]
@@ -27,5 +29,5 @@ def answers_and_features(network: PictureNetwork, inputs: Tensor) -> tuple[Tenso
     finally:
         for hook in hooks:
             hook.remove()
-    features = given[min(1, len(given) - 1)] if given else answers
+    features = layer_inputs[min(1, len(layer_inputs) - 1)] if layer_inputs else answers
     return answers, features.flatten(1).float() if features.dim() > 1 else features[:, None].float()

@@ -1,4 +1,4 @@
-"""Networks by name: those of the toolkit, `FILE.py:CLASS`, `package.module:CLASS`. Nothing is imported here."""
+"""Names of networks: built-in ones, `FILE.py:CLASS`, `package.module:CLASS`. Imports no network."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CLASS: Final = re.compile(r"[^\W\d]\w*")
 
 
 def check_network_name(name: str) -> None:
-    """Raise ValueError for what names no network, whether or not there is one of that name."""
+    """Raise ValueError if `name` does not have the form of a network's name. The network need not exist."""
     if name in BUILT_IN:
         return
     place, _, kind = name.rpartition(":")
@@ -30,7 +30,7 @@ def check_network_name(name: str) -> None:
 
 
 def is_own(name: str) -> bool:
-    """Whether a network is code of one's own, and not the toolkit's."""
+    """True for a user's own network, False for a built-in one."""
     return name not in BUILT_IN
 
 

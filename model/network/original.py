@@ -1,7 +1,7 @@
-"""The network of the original project: 5,022,327 parameters from a picture to a steering angle.
+"""The network of the original project: from a picture to steering with 5,022,327 parameters.
 
-After Bojarski et al. 2016, "End to End Learning for Self-Driving Cars" (arXiv 1604.07316), with max pooling in
-place of strides, a larger input, and dropout.
+After Bojarski et al. 2016, "End to End Learning for Self-Driving Cars" (arXiv 1604.07316), with max pooling
+instead of strides, a larger input, and dropout.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class SteeringNetwork(LayerChain):
         super().__init__()
 
         def convolution(inputs: int, outputs: int, kernel: int, *, pool: bool) -> list[nn.Module]:
-            # Pooling comes before ReLU: the maximum of ReLUs is the ReLU of the maximum, at a quarter of the work.
+            # Pooling before ReLU gives the same result as after it, for a quarter of the ReLUs.
             pooling: list[nn.Module] = [nn.MaxPool2d(2)] if pool else []
             return [nn.Conv2d(inputs, outputs, kernel), *pooling, nn.ReLU()]
 

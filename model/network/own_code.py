@@ -1,6 +1,6 @@
-"""A user's own network: its code runs because the user has named it, and never because a run names it.
+"""A user's own network: its code runs only if the user names it, never because a run names it.
 
-`FILE.py:CLASS` is read once: the same bytes are run, hashed and kept in the run.
+The file of `FILE.py:CLASS` is read once: the same bytes are run, hashed and kept in the run.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ from model.network.names import check_network_name, is_file
 MAX_SOURCE_BYTES: Final = 1 << 20
 
 _loaded: dict[tuple[str, str], OwnCode] = {}
-"""The code that was named in this process: by the hash of its file, or its module, and its class."""
+"""The code that this process has loaded, by the hash of its file (or its module) and its class."""
 
 
 @dataclass(frozen=True)
 class OwnCode:
-    """A class, or a function, that makes a network."""
+    """A class or function that makes a network."""
 
-    name: str  # as its user gave it
+    name: str  # as the user gave it
     make: Callable[..., Any] = field(repr=False)
-    source: bytes = field(default=b"", repr=False)  # of its file
+    source: bytes = field(default=b"", repr=False)  # of the file; empty for a module
 
     @property
     def label(self) -> str:
-        """Its name as a run keeps it: a file's without its folder."""
+        """The name as a run stores it: without the folder of a file."""
         place, _, kind = self.name.rpartition(":")
         return f"{Path(place).name if is_file(self.name) else place}:{kind}"
 
     @property
     def file_sha256(self) -> str:
-        """Empty for a module."""
+        """SHA-256 of the file; empty for a module."""
         return sha256(self.source).hexdigest() if is_file(self.name) else ""
 
 
 def load_code(name: str) -> OwnCode:
-    """Run the file, or import the module, that `name` (`FILE.py:CLASS`, `package.module:CLASS`) names; from then
-    on runs of that network can be loaded in this process.
+    """Run the file, or import the module, of `name` (`FILE.py:CLASS`, `package.module:CLASS`). After that, this
+    process can load runs of that network.
 
-    Raises RunError if the code is missing, fails, or has no such class.
+    Raises RunError if the code is missing or fails, or if the class is not in it.
     """
     try:
         check_network_name(name)
@@ -75,13 +75,13 @@ def load_code(name: str) -> OwnCode:
 
 
 def named_code(label: str, file_sha256: str) -> OwnCode | None:
-    """The code of a run's network, if it was named in this process."""
+    """The code of a run's network, if this process has loaded it."""
     place, _, kind = label.rpartition(":")
     return _loaded.get((file_sha256 or place, kind))
 
 
 def named_otherwise(label: str) -> OwnCode | None:
-    """Code of a file that was named in this process, with a class of the same name as a run's network has."""
+    """The loaded code of another file that has a class of the same name as a run's network."""
     kind = label.rpartition(":")[2]
     return next((code for (_, name), code in _loaded.items() if name == kind and code.source), None)
 
@@ -99,7 +99,7 @@ def _read(name: str, path: Path) -> bytes:
 
 
 class _Source(InspectLoader):
-    """Loads a module from a text that was read before; no bytecode is cached next to the file."""
+    """Loads a module from source that is already read, and caches no bytecode next to the file."""
 
     def __init__(self, path: Path, source: bytes) -> None:
         self._path = path
@@ -118,7 +118,7 @@ def _run(name: str, path: Path, source: bytes) -> ModuleType:
     assert spec.loader is not None  # noqa: S101
     module = module_from_spec(spec)
     module.__file__ = str(path)
-    sys.modules[spec.name] = module  # where dataclasses look their own module up
+    sys.modules[spec.name] = module  # dataclasses look up their module in it
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:

@@ -1,6 +1,6 @@
-"""The base of every network here: pictures in, steering and perhaps other targets out.
+"""The base class of all networks: pictures in, steering and other targets out.
 
-Scaling and the answers' shape are in this one place.
+Only this file scales pictures and checks the shape of answers.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from model.errors import RunError
 class PictureNetwork(nn.Module):
     """Pictures (N, 3, height, width), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped.
 
-    Of several targets the answers are (N, outputs), steering first (`dataset.prediction_targets`).
+    With several targets, the answers are (N, outputs), steering first (`dataset.prediction_targets`).
     """
 
     PICTURE: ClassVar[PictureSpec] = ORIGINAL
     """The default picture; a run may have another."""
 
     outputs: int = 1
-    """Number of targets that it answers."""
+    """Number of targets that the network answers."""
 
     natural: Callable[[Tensor], Tensor] | None = None
-    """From the steering that was learnt to the network's answer; None while it learns, and where both are the
-    same."""
+    """Converts learnt steering to the network's answer; None during training, and if both are equal."""
 
     input_dtype = torch.float32
-    """The dtype of its layers' inputs. Scaling is always done in float32."""
+    """The dtype of the layers' inputs. Scaling is always in float32."""
 
     def answers(self, inputs: Tensor) -> Tensor:
-        """(N, outputs), or (N,) of one, for pictures (N, 3, height, width) that are scaled to -1..1."""
+        """(N, outputs), or (N,) for one output, for pictures (N, 3, height, width) that are scaled to -1..1."""
         raise NotImplementedError
 
     def forward(self, pictures: Tensor) -> Tensor:
@@ -50,7 +49,7 @@ class PictureNetwork(nn.Module):
 
 
 class LayerChain(PictureNetwork):
-    """Convolutions, and a head on what they give."""
+    """Convolutions `features`, then fully connected layers `head`."""
 
     features: nn.Sequential
     head: nn.Sequential
@@ -66,27 +65,27 @@ def scaled(pictures: Tensor) -> Tensor:
 
 
 def targets_of(answers: Tensor, pictures: int, outputs: int = 1) -> Tensor:
-    """The steering (N,), or the targets (N, outputs), in a network's answers to so many pictures. Raises
-    RunError for answers of another shape or type."""
+    """A network's answers to `pictures` pictures as steering (N,), or as targets (N, outputs). Raises RunError for
+    answers of another shape or type."""
     if isinstance(answers, Tensor) and answers.is_floating_point():
         if answers.shape == (pictures, outputs):
             return answers.squeeze(1) if outputs == 1 else answers
         if answers.shape == (pictures,) and outputs == 1:
             return answers
-    given = tuple(answers.shape) if isinstance(answers, Tensor) else type(answers).__name__
+    shape = tuple(answers.shape) if isinstance(answers, Tensor) else type(answers).__name__
     kind = f" of {answers.dtype}" if isinstance(answers, Tensor) else ""
     if outputs == 1:
         expected = f"one number for each was expected, ({pictures}, 1) or ({pictures},)"
     else:
         expected = f"one number for each and each target was expected, ({pictures}, {outputs})"
-    raise RunError(f"the network answers {given}{kind} to {counted(pictures, 'picture')}: {expected}")
+    raise RunError(f"the network answers {shape}{kind} to {counted(pictures, 'picture')}: {expected}")
 
 
 def glorot_weights(network: nn.Module) -> None:
-    """Initial weights after Glorot and Bengio 2010, as in Keras, which the original used.
+    """Initial weights after Glorot and Bengio 2010, as in Keras, which the original project used.
 
-    With PyTorch's own, smaller weights a network answers nearly the same to every picture for the whole first
-    epoch.
+    PyTorch's default weights are smaller: with them, a network answers nearly the same to every picture during the
+    whole first epoch.
     """
     for layer in network.modules():
         if isinstance(layer, nn.Conv2d | nn.Linear):

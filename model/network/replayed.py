@@ -1,4 +1,4 @@
-"""A network on a GPU that answers one picture at a time: its work is recorded once, as a CUDA graph, and replayed.
+"""A network on a GPU that answers one picture at a time: record its work once as a CUDA graph, and replay it.
 
 Called layer by layer, the GPU waits for Python: with PyTorch 2.11 on an H200, a picture takes 0.57 ms. The graph
 starts all layers at once: 0.19 ms.
@@ -16,23 +16,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-ROUNDING: Final = 0.02  # of bfloat16, added up in another order
+ROUNDING: Final = 0.02  # of bfloat16 sums in another order
 
-_CALLS_BEFORE: Final = 3  # libraries set themselves up in the first ones
+_CALLS_BEFORE: Final = 3  # libraries initialise themselves in the first calls
 _CHECKED_PICTURES: Final = 3
 
 _failed: Final[list[torch.cuda.CUDAGraph]] = []
-"""Graphs whose recording failed: PyTorch may go on asking them which memory is theirs."""
+"""Graphs whose recording failed. They are kept alive because PyTorch may still ask them for their memory."""
 
 
 class Replayed:
-    """A recorded calculation. Pictures and answers go through buffers that stay where they are."""
+    """A recorded calculation. Pictures and answers go through buffers at fixed addresses."""
 
     def __init__(
         self, calculate: Callable[[Tensor], Tensor], shape: tuple[int, int, int], device: torch.device
     ) -> None:
-        """`calculate` makes answers (K,) float32 of one picture (1, 3, height, width) uint8 in channels_last;
-        `shape` is (height, width, 3). Raises what `calculate` does, and RuntimeError if it cannot be recorded."""
+        """`calculate` computes answers (K,) float32 for one picture (1, 3, height, width) uint8 in channels_last;
+        `shape` is (height, width, 3). Raises what `calculate` raises, and RuntimeError if it cannot be
+        recorded."""
         is_pinned = device.type == "cuda"
         self._device = device
         self._host_pixels = torch.zeros((1, *shape), dtype=torch.uint8, pin_memory=is_pinned)
@@ -42,7 +43,7 @@ class Replayed:
         self._host_answers = torch.zeros(self._answers.shape, pin_memory=is_pinned)
 
     def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """(K,) for one picture (1, height, width, 3)."""
+        """The answers (K,) to one picture (1, height, width, 3)."""
         np.copyto(self._host_pixels.numpy(), pixels)
         self._pixels.copy_(self._host_pixels, non_blocking=True)
         self._replay()
@@ -54,12 +55,12 @@ class Replayed:
 
 
 @torch.inference_mode()
-def replayed_where_the_same(
+def replayed_if_equal(
     calculate: Callable[[Tensor], Tensor], shape: tuple[int, int, int], device: torch.device
 ) -> Replayed | None:
-    """A `Replayed` of a calculation; None if it cannot be recorded, or answers otherwise when it is replayed.
+    """A `Replayed` of a calculation; None if it cannot be recorded, or if its replayed answers differ.
 
-    One's own network cannot, for example, if it looks at numbers while it calculates.
+    For example, a user's own network cannot be recorded if it reads numbers from the GPU during the calculation.
     """
     draw = np.random.default_rng(0)
     pictures = draw.integers(0, 256, (_CHECKED_PICTURES, 1, *shape), np.uint8)
@@ -71,14 +72,15 @@ def replayed_where_the_same(
         answers = [replayed(batch) for batch in pictures[::-1]][::-1]
     except Exception:
         return None
-    is_same = np.allclose(answers, expected, rtol=ROUNDING, atol=ROUNDING, equal_nan=True)
-    return replayed if is_same else None
+    is_equal = np.allclose(answers, expected, rtol=ROUNDING, atol=ROUNDING, equal_nan=True)
+    return replayed if is_equal else None
 
 
 def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
-    """A function that makes a GPU do a calculation again, and the tensor that holds the answers afterwards.
+    """Record a calculation. Returns a function that repeats it on the GPU, and the tensor that then holds the
+    answers.
 
-    Raises RuntimeError, or what `calculate` raises, if it cannot be recorded. The GPU can be used afterwards.
+    Raises RuntimeError, or what `calculate` raises, if it cannot be recorded. The GPU stays usable.
     """
     graph, pool = torch.cuda.CUDAGraph(), torch.cuda.graph_pool_handle()
     generator = torch.cuda.default_generators[device.index]
@@ -96,7 +98,7 @@ def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Calla
                     answers = calculate()
         except Exception:
             _failed.append(graph)
-            with contextlib.suppress(RuntimeError):  # its recording may have ended all the same
+            with contextlib.suppress(RuntimeError):  # the recording may have ended already
                 torch._C._cuda_endAllocateToPool(device.index, pool)
             raise
         finally:
@@ -106,7 +108,7 @@ def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Calla
 
 
 def exactly(device: torch.device) -> contextlib.AbstractContextManager[object]:
-    """On a GPU, cuDNN gives the same bits every time, and float32 is not TensorFloat-32."""
+    """In this block on a GPU, cuDNN gives the same bits every time, and float32 is not TensorFloat-32."""
     if device.type != "cuda":
         return contextlib.nullcontext()
     settings: contextlib.AbstractContextManager[object] = torch.backends.cudnn.flags(
@@ -117,7 +119,8 @@ def exactly(device: torch.device) -> contextlib.AbstractContextManager[object]:
 
 @contextlib.contextmanager
 def _waiting_raises() -> Iterator[None]:
-    """RuntimeError for what waits for the GPU: it cannot be recorded, and failed recordings leave traces."""
+    """Raise RuntimeError for operations that wait for the GPU: they cannot be recorded, and a failed recording
+    would leave traces."""
     before = torch.cuda.get_sync_debug_mode()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PyTorch calls this mode a prototype

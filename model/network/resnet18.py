@@ -1,6 +1,6 @@
-"""torchvision's ResNet-18 (He et al. 2015, arXiv 1512.03385), with one answer, and random weights.
+"""torchvision's ResNet-18 (He et al. 2015, arXiv 1512.03385), with the targets as outputs, and random weights.
 
-torchvision is an extra (`pip install ".[torchvision]"`) and is imported only here.
+torchvision is an extra (`pip install ".[torchvision]"`). Only this file imports it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ _OPERATORS: Final = {
     "torchvision::nms": "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
     "torchvision::qnms": "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor",
 }
-"""Operators of its own that the import of torchvision cannot do without."""
+"""torchvision's own operators that its import needs."""
 
 
 class ResNet18(PictureNetwork):
-    """RGB pictures (N, 3, 128, 128) to steering (N,). Raises RunError where there is no torchvision."""
+    """RGB pictures (N, 3, 128, 128) to steering (N,), or (N, outputs). Raises RunError if torchvision is
+    missing."""
 
     PICTURE = PictureSpec(channels="RGB")
 
@@ -43,14 +44,14 @@ def _torchvision_resnet18() -> Callable[..., nn.Module]:
         try:
             models: Any = importlib.import_module("torchvision.models")
         except RuntimeError:
-            # Built for another PyTorch (with or without CUDA): its operators cannot be loaded. ResNet needs none
-            # of them; once their names are defined, the rest of torchvision is imported.
+            # Built for another PyTorch (with or without CUDA), torchvision cannot load its operators. ResNet needs
+            # none of them; with their names defined, the import works.
             for name, schema in _OPERATORS.items():
                 torch.library.define(name, schema)
             models = importlib.import_module("torchvision.models")
     except (ImportError, RuntimeError) as error:
         raise RunError(
-            f"resnet18 needs torchvision ({error}): `{install_line('torchvision')}` brings it"
+            f"resnet18 needs torchvision ({error}): install it with `{install_line('torchvision')}`"
         ) from None
-    made: Callable[..., nn.Module] = models.resnet18
-    return made
+    resnet18: Callable[..., nn.Module] = models.resnet18
+    return resnet18

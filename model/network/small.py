@@ -1,7 +1,7 @@
-"""A small network for small computers, such as a Raspberry Pi: 81,929 parameters.
+"""A small network for small computers, for example a Raspberry Pi: 81,929 parameters.
 
-A picture takes it 3.6 million multiplications, where the original's takes 137 million. As PilotNet it has strided
-convolutions in place of pooling.
+It needs 3.6 million multiplications a picture; the original network needs 137 million. Like PilotNet, it has
+strided convolutions instead of pooling.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 """Attention maps of a network by VisualBackProp, after Bojarski et al. 2016 (arXiv 1611.05418).
 
-What each convolution layer gives after its ReLU is averaged over its channels. From the last layer to the first,
-the map is brought to the size of the layer before by a deconvolution whose weights are all one, of the layer's own
-kernel and stride, and multiplied by that layer's average; the first layer's brings it to the size of the picture.
+The output of each convolution layer after its ReLU is averaged over its channels. Then, from the last layer to the
+first, a deconvolution with the layer's kernel size and stride, and with all weights one, brings the map to the
+size of the layer before, and the map is multiplied by that layer's average. The first layer's deconvolution brings
+the map to the size of the picture.
 
-The original's network has strides where this one pools. Pooling is a part of the layer, and is undone before its
-convolution, as a deconvolution with ones of its kernel and stride: a value goes to every place that it may be the
-maximum of. What pooling has left out at an edge gets nothing.
+The paper's network has strides, the toolkit's original network has pooling. Pooling is undone before its
+convolution, as a deconvolution with ones of its kernel size and stride: a value goes to every pixel of its window.
+Pixels at an edge that pooling left out get 0.
 
-The layers are found by watching them work. Where they are no chain (a residual network adds what went around some
-of them), there is one average of each size, that of the last ReLU, and bilinear enlargement in place of
-deconvolution.
+Hooks find the layers during a pass. If the layers are not a chain (a residual network adds shortcuts), the map
+uses one average of each size, that of the last ReLU, and bilinear enlargement instead of deconvolution.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Side = int | tuple[int, ...]
 @torch.inference_mode()
 def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]:
     """The output of `network` for inputs (N, channels, height, width), and attention maps (N, height, width), each
-    from 0 to 1, or all 0 where nothing stands out. One pass gives both.
+    from 0 to 1, or all 0 if the map is constant. One pass computes both.
 
     Raises RunError for a network without an `nn.ReLU` after a convolution.
     """
@@ -48,13 +48,14 @@ def visual_backprop(network: nn.Module, inputs: Tensor) -> tuple[Tensor, Tensor]
 @dataclass
 class _Step:
     layer: nn.Module
-    size: torch.Size  # the height and width of what went in
-    average: Tensor | None  # over its channels, of what came out of a ReLU
+    size: torch.Size  # height and width of the input
+    average: Tensor | None  # mean over channels of the output of a ReLU; None for other layers
 
 
 @dataclass
 class _Watched:
-    """A network whose layers are watched: those that give planes (N, channels, height, width), in their order."""
+    """Records the layers of a network that output planes (N, channels, height, width), in the order of the
+    pass."""
 
     network: nn.Module
     steps: list[_Step] = field(default_factory=list)
@@ -76,7 +77,7 @@ class _Watched:
             return
         if self._last is not None and inputs[0] is not self._last:
             self.is_chain = False
-        average = outputs.mean(1) if isinstance(layer, nn.ReLU) else None  # now: it may be written over later
+        average = outputs.mean(1) if isinstance(layer, nn.ReLU) else None  # now: a later layer may overwrite it
         self.steps.append(_Step(layer, inputs[0].shape[2:], average))
         self._last = outputs
 
@@ -84,7 +85,7 @@ class _Watched:
 def _through_chain(steps: list[_Step]) -> Tensor:
     averages = [step.average for step in steps if step.average is not None]
     maps = torch.ones_like(averages[-1])
-    is_behind = True  # a layer behind the last ReLU has no average to bring back
+    is_behind = True  # layers behind the last ReLU have no average
     for step in reversed(steps):
         if step.average is not None:
             maps, is_behind = maps * step.average, False
@@ -98,10 +99,9 @@ def _through_chain(steps: list[_Step]) -> Tensor:
 
 
 def _through_sizes(steps: list[_Step]) -> Tensor:
-    of_size = {step.average.shape: step.average for step in steps if step.average is not None}
-    first, *others = sorted(of_size.values(), key=lambda average: average.shape[1] * average.shape[2])
-    maps = first
-    for average in others:
+    by_size = {step.average.shape: step.average for step in steps if step.average is not None}
+    maps, *larger = sorted(by_size.values(), key=lambda average: average.shape[1] * average.shape[2])
+    for average in larger:
         maps = _enlarged(maps, average.shape[1:]) * average
     return maps
 
@@ -111,7 +111,7 @@ def _enlarged(maps: Tensor, size: torch.Size) -> Tensor:
 
 
 def _spread(maps: Tensor, size: torch.Size, kernel: Side, stride: Side, padding: Side) -> Tensor:
-    """Deconvolution by ones to `size` (height, width).
+    """Deconvolution with ones to `size` (height, width).
 
     Ones are separable: a sum of shifted rows, then of shifted columns, takes a twentieth of the time of
     `conv_transpose2d`, which is slow for a single channel.

@@ -1,1 +1,1 @@
-"""Run folders: weights, checkpoints and history of a training, and where it came from."""
+"""Run folders: the weights, checkpoints, history and provenance of a training."""

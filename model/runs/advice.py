@@ -1,6 +1,6 @@
-"""The one thing most likely to help a network, by rules in the order of how much each is likely to.
+"""The one thing most likely to help a network. The rule most likely to help comes first.
 
-Each rule is a function of a run's numbers that gives its advice, with the numbers that called for it, or None.
+Each rule is a function of a run's numbers. It returns advice with the numbers that call for it, or None.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from model.runs.enough_to_drive import drivable
 from model.runs.run_numbers import RunNumbers
 
 FEW_EPOCHS: Final = 4
-"""The study's networks drove after 4, and none of them after 1 (docs/studies/which-number.md)."""
+"""The study's networks drove after 4 epochs; none drove after 1 (docs/studies/which-number.md)."""
 STILL_IMPROVING: Final = 0.02
-"""By so much of itself the driving error still fell in the last epoch."""
+"""Relative fall of the driving error in the last epoch that calls for more epochs."""
 FEW_TURNS: Final = 500
 HARDLY_ANY_TURNS: Final = 170
-"""Rows of turns to learn from: with 700 of them every network of the study drove, with 170 none, however long it
-learnt."""
+"""Rows of turns in the training data. In the study, every network drove with 700 and none with 170, however long
+it trained."""
 FEW_OF_A_SIDE: Final = 0.1
 WORSE_ANSWERS: Final = 0.05
-"""By how much the driving error of natural answers may exceed that of the answers as learnt. Such a difference
-changes no verdict: 5 % where driving errors are about 1."""
+"""How much the driving error of natural answers may exceed that of the answers as learnt. Driving errors are about
+1, so 5 % changes no verdict."""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What to do next: why, with the numbers that call for it, and a command that can be pasted."""
+    """The next thing to do: the reason with its numbers, and a command to paste."""
 
     why: str
     command: str
 
 
 def advice(numbers: RunNumbers) -> Advice:
-    """The advice of the first rule that has one."""
+    """The advice of the first rule that applies."""
     return next(advised for rule in RULES if (advised := rule(numbers)) is not None)
 
 
@@ -50,7 +50,7 @@ def is_being_trained(numbers: RunNumbers) -> Advice | None:
 
 
 def has_wrong_labels(numbers: RunNumbers) -> Advice | None:
-    """Steering that is mirrored, of another scale, or missing: whatever is learnt of it is wrong."""
+    """The steering is mirrored, of another scale, or missing: a network learns it wrongly."""
     for name, labels in numbers.data.labels.items():
         check = f"bc-log check {numbers.log_of(name)}"
         session, kind = printable(name), labels.habits.kind
@@ -71,8 +71,8 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
 
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
-    """Natural answers are worse than answers as learnt, and the latter beat always predicting the mean. After only
-    a few epochs, more epochs help first."""
+    """Natural answers are worse than answers as learnt, and the answers as learnt beat always predicting the mean.
+    After only a few epochs, more epochs help first."""
     kept = numbers.kept
     if (
         kept is None
@@ -99,7 +99,7 @@ def has_worse_answers(numbers: RunNumbers) -> Advice | None:
 
 
 def is_enough(numbers: RunNumbers) -> Advice | None:
-    """A network that is likely to drive, and has not failed to, should drive."""
+    """The network is likely to drive, and no drive of it needed an intervention."""
     driven, measured = numbers.drives, numbers.measured
     if measured is None or any(_interventions(drive) for drive in driven):
         return None
@@ -115,7 +115,8 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
 
 
 def has_left_the_road(numbers: RunNumbers) -> Advice | None:
-    """An expert takes over where it errs, and it learns from that (docs/studies/takeovers.md)."""
+    """The network left the road: an expert takes over where it errs, and it learns from the takeovers
+    (docs/studies/takeovers.md)."""
     failed = [drive for drive in numbers.drives if _interventions(drive)]
     if not failed or len(numbers.epochs) < FEW_EPOCHS:
         return None
@@ -177,7 +178,7 @@ def has_one_side(numbers: RunNumbers) -> Advice | None:
 
 
 def has_one_camera(numbers: RunNumbers) -> Advice | None:
-    """Pictures from the sides show how to come back to the middle."""
+    """The side cameras are unused. Their pictures show how to return to the middle."""
     frames = sum(count.frames for count in numbers.data.counts.values())
     rows = sum(labels.habits.rows for labels in numbers.data.labels.values())
     has_others = not rows or frames > 1.5 * rows
@@ -189,7 +190,7 @@ def has_one_camera(numbers: RunNumbers) -> Advice | None:
 def nothing_stands_out(numbers: RunNumbers) -> Advice:
     if numbers.measured is None:
         return Advice("nothing of it is measured yet", f"bc-eval {numbers.run}")
-    return Advice("nothing in its numbers stands out; more of other roads helps most", _record(numbers))
+    return Advice("nothing in its numbers stands out; recordings of other roads help most", _record(numbers))
 
 
 RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (
@@ -221,7 +222,7 @@ def _interventions(drive: Mapping[str, Any]) -> int:
 
 
 def _turns_learnt(numbers: RunNumbers) -> int | None:
-    """About how many rows of turns were learnt from, by the share of turns in what was held out; None where it is
+    """Estimated rows of turns in the training data, from the share of turns among the frames held out; None if
     unknown."""
     bins = numbers.measured.bins if numbers.measured is not None else ()
     held_out = sum(part.frames for part in bins)
@@ -235,7 +236,7 @@ def _turns_learnt(numbers: RunNumbers) -> int | None:
 
 
 def _record(numbers: RunNumbers) -> str:
-    """The command that records more of what these sessions are of, by a name that none of them has."""
+    """The command that records another session of the same kind, with a name that no session has."""
     sessions = numbers.data.logs
     name = "more" if "more" not in sessions else f"more-{len(sessions)}"
     if numbers.is_built_in:

@@ -1,12 +1,12 @@
-"""The answer scale: from the steering that a network learnt of balanced samples to that of natural driving.
+"""The answer scale: converts steering learnt from balanced samples to steering of natural driving.
 
-Where every steering bin counts alike, the prior of hard steering is far above that of the road, and the network
-answers accordingly: a little to the side as if it were a bend. What it is sure of, a hairpin, it answers rightly.
-So small answers have to shrink and large ones to stay, which a scale alone cannot do: natural steering is
+Balanced samples have far more hard steering than the road. The network therefore answers a small deviation as if
+it were a bend. It answers hairpins correctly. So small answers must shrink and large ones must stay, which a scale
+alone cannot do. Natural steering is
 
     scale * learnt + curve * learnt * |learnt| + offset
 
-The weights of a run stay as they were learnt; the three numbers stand in their file, and in what drives.
+The weights of a run stay as learnt. The file of the weights keeps the three numbers, and driving applies them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Floats = NDArray[np.float64]
 Steering = TypeVar("Steering", Floats, "Tensor")
 
 MIN_SCALE, MAX_SCALE = 0.1, 2.0
-"""The bounds of a fit. Below, a network would ignore whatever is a little to the side; above, it has learnt
-nothing of the road."""
+"""The bounds of a fit. Below MIN_SCALE, a network would ignore small deviations; above MAX_SCALE, it has not
+learnt the road."""
 
 MAX_CURVE: Final = 4.0
-"""From 0, so that the answer never falls while the steering learnt grows."""
+"""The curve is 0 or more, so the answer never falls while the learnt steering grows."""
 
 MAX_OFFSET: Final = 0.2
 
@@ -40,7 +40,7 @@ _PREFIX: Final = "natural_"
 
 @dataclass(frozen=True)
 class AnswerScale:
-    """Natural steering, -1..1, not clamped, from the steering learnt."""
+    """Converts learnt steering to natural steering, -1..1, not clamped."""
 
     scale: float = 1.0
     offset: float = 0.0
@@ -48,9 +48,9 @@ class AnswerScale:
 
     @classmethod
     def fit(cls, learnt: Floats, steering: Floats) -> AnswerScale:
-        """The least squares of `steering` (N,) by the network's answers `learnt` (N,), within bounds.
+        """Fit `steering` (N,) to the network's answers `learnt` (N,) by least squares, within bounds.
 
-        As learnt, where the network answers the same to everything, or where there is nothing to fit.
+        Returns the identity if all answers are equal, or if N is 0.
         """
         if not len(learnt) or np.ptp(learnt) == 0:
             return cls()
@@ -63,25 +63,27 @@ class AnswerScale:
         return cls(scale, float(np.clip(offset, -MAX_OFFSET, MAX_OFFSET)), curve)
 
     def __post_init__(self) -> None:
-        """Raises ValueError for what no fit gives."""
-        is_known = MIN_SCALE <= self.scale <= MAX_SCALE and 0 <= self.curve <= MAX_CURVE
-        if not (is_known and abs(self.offset) <= MAX_OFFSET):
+        """Raises ValueError for numbers beyond the bounds."""
+        is_inside = MIN_SCALE <= self.scale <= MAX_SCALE and 0 <= self.curve <= MAX_CURVE
+        if not (is_inside and abs(self.offset) <= MAX_OFFSET):
             raise ValueError(f"an answer scale of {self.scale:g}, {self.curve:g} and {self.offset:g}")
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> AnswerScale:
-        """The scale in the metadata of weights; as learnt without one. Raises ValueError beyond the bounds."""
+        """The scale in the metadata of weights; the identity if they have none. Raises ValueError beyond the
+        bounds."""
         return cls(
             **{name: float(metadata.get(_PREFIX + name, default)) for name, default in asdict(cls()).items()}
         )
 
     @property
     def metadata(self) -> dict[str, str]:
-        """For a file of weights."""
+        """The three numbers as text, for the metadata of a file of weights."""
         return {_PREFIX + name: repr(value) for name, value in asdict(self).items()}
 
     def in_words(self, max_deg: float | None) -> str:
-        """The formula, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt, -0.20"."""
+        """The formula in degrees, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt,
+        -0.20"."""
         unit = steering_unit(max_deg)
         full = unit.of(assumed_deg(max_deg))
         curve = f" + {self.curve / full:.3f} x|x|" if self.curve else ""
@@ -91,15 +93,15 @@ class AnswerScale:
         return learnt * (self.scale + self.curve * abs(learnt)) + self.offset
 
     def learnt(self, natural: Floats) -> Floats:
-        """The steering learnt that `natural` was computed from: its inverse."""
+        """The learnt steering for a natural one: the inverse of `natural`."""
         steering = natural - self.offset
-        # the root of curve * x**2 + scale * x = |steering| that is not negative, so written that curve may be 0
+        # the non-negative root of curve * x**2 + scale * x = |steering|, in a form in which curve may be 0
         size = 2 * np.abs(steering) / (self.scale + np.sqrt(self.scale**2 + 4 * self.curve * np.abs(steering)))
         return np.sign(steering) * size
 
 
 def _inside(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, float]]:
-    """The scale and curve of least squares, if they are within bounds."""
+    """The scale and curve of least squares; empty if they are out of bounds."""
     (scale, curve), *_ = np.linalg.lstsq(np.stack([line, bend], 1), wanted)
     is_inside = MIN_SCALE <= scale <= MAX_SCALE and 0 <= curve <= MAX_CURVE
     return [(float(scale), float(curve))] if is_inside else []
@@ -112,6 +114,6 @@ def _at_edges(line: Floats, bend: Floats, wanted: Floats) -> list[tuple[float, f
     return of_curves + [(scale, _slope(bend, wanted - scale * line, *curves)) for scale in scales]
 
 
-def _slope(values: Floats, wanted: Floats, least: float, most: float) -> float:
+def _slope(values: Floats, wanted: Floats, low: float, high: float) -> float:
     square = float(values @ values)
-    return float(np.clip(values @ wanted / square, least, most)) if square > 0 else least
+    return float(np.clip(values @ wanted / square, low, high)) if square > 0 else low

@@ -1,4 +1,4 @@
-"""The car that a run's answers are for: that of its sessions, by its config.json."""
+"""The car for which a run answers: the car of its sessions, from its config.json."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from model.runs.run_folder import load_config
 
 
 def max_steering_deg_of_run(run: Path) -> float:
-    """The angle of the front wheels where the run answers 1; 25 where it is unknown. Raises RunError as
+    """The angle of the front wheels, in degrees, when the run answers 1; 25 if unknown. Raises RunError as
     `load_config` does."""
     degrees = {_number(log.get("max_steering_deg", MAX_STEERING_DEG)) for log in _logs(run).values()}
     angle_deg = degrees.pop() if len(degrees) == 1 else MAX_STEERING_DEG
@@ -21,24 +21,24 @@ def max_steering_deg_of_run(run: Path) -> float:
 
 
 def known_max_steering_deg_of_run(run: Path) -> float | None:
-    """`max_steering_deg_of_run`; None where a session of the run does not say it."""
+    """`max_steering_deg_of_run`; None if a session of the run does not record the angle."""
     is_unknown = any(log.get("max_steering_deg", MAX_STEERING_DEG) is None for log in _logs(run).values())
     return None if is_unknown else max_steering_deg_of_run(run)
 
 
 def cars_of_run(run: Path) -> list[Any]:
-    """The settings of the car of each of the run's sessions, None for one without: unchecked JSON. Raises RunError
+    """The car settings of each session of the run, as unchecked JSON; None for a session without. Raises RunError
     as `load_config` does."""
     return [log.get("car") for log in _logs(run).values()]
 
 
 def refuse_other_steering(run: Path, max_steering_deg: float | None, source: str) -> None:
-    """Raise RunError if the run's steering 1 is another angle than in `source`, a log or an index."""
+    """Raise RunError if steering 1 is a different angle in the run and in `source`, a log or an index."""
     own, other = max_steering_deg_of_run(run), assumed_deg(max_steering_deg)
     if own != other:
         raise RunError(
-            f"{run}: it answers 1 where the wheels are to turn by {own:g} degrees; that of {source} is"
-            f" {other:g} degrees, so they do not go together"
+            f"{run}: steering 1 turns the wheels by {own:g} degrees, in {source} by {other:g} degrees, so they do"
+            " not go together"
         )
 
 

@@ -1,7 +1,8 @@
 """Checkpoints: `last/checkpoint.safetensors`, from which a training continues as if it had never stopped.
 
-One file with its own checksum (checksums.py) holds weights, their mean, moments of Adam and position, so that all
-are of the same moment. It has no random state: order, dropout and alterations depend only on (seed, epoch, batch).
+One file with its own checksum (checksums.py) holds the weights, their mean, Adam's moments and the position, so
+all belong to the same step. It needs no random state: order, dropout and alterations depend only on (seed, epoch,
+batch).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ FORMAT: Final = "2"
 READABLE: Final = ("1", "2")  # format 1 has neither the mean of the last steps' weights nor the answer scale
 
 _WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
-_ANOTHER: Final = "the checkpoint of another network than that of its config.json"
+_ANOTHER: Final = "the checkpoint of another network than its config.json names"
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
@@ -46,20 +47,20 @@ class Position(
         "best_error": "best_deg",
     },
 ):
-    """The place that a training has come to, and the sums of the epoch that it is in."""
+    """The position of a training, and the sums of its current epoch."""
 
-    epoch: Annotated[int, Meta(ge=1, lt=2**53)] = 1  # that is being trained; epochs before it are finished
-    batch: Count = 0  # batches of it that are learnt
-    squared_error: Sum = 0.0  # over its samples so far
+    epoch: Annotated[int, Meta(ge=1, lt=2**53)] = 1  # the current epoch; earlier ones are finished
+    batch: Count = 0  # learnt batches of this epoch
+    squared_error: Sum = 0.0  # over the samples of this epoch so far
     samples: Count = 0
     seconds: Sum = 0.0
-    reported_squared_error: Sum = 0.0  # the part of these two that is in steps.jsonl
+    reported_squared_error: Sum = 0.0  # the part of squared_error that is in steps.jsonl
     reported_samples: Count = 0
     best_epoch: Count = 0  # 0: none yet
     answer_scale: Annotated[float, Meta(ge=MIN_SCALE, le=MAX_SCALE)] = 1.0  # of the last finished epoch
     answer_offset: Annotated[float, Meta(ge=-MAX_OFFSET, le=MAX_OFFSET)] = 0.0
     answer_curve: Annotated[float, Meta(ge=0, le=MAX_CURVE)] = 0.0
-    best_error: Sum = math.inf  # the error by which it is kept; infinite where nothing is held out
+    best_error: Sum = math.inf  # the error of the kept epoch; infinite if nothing is held out
 
 
 def checkpoint_path(run: Path) -> Path:
@@ -71,7 +72,7 @@ def save_checkpoint(
 ) -> None:
     """Replace the run's checkpoint in one step: a full disk or a crash leaves the old one.
 
-    `averaged` has the mean of the last steps' weights; it is `network` itself where nothing is averaged.
+    `averaged` has the mean of the last steps' weights; it is `network` itself if nothing is averaged.
     """
     tensors = {f"network.{name}": tensor for name, tensor in network.state_dict().items()}
     if averaged is not network:
@@ -84,7 +85,7 @@ def save_checkpoint(
 
 
 def read_position(run: Path) -> Position:
-    """The position in the run's checkpoint. Raises RunError if there is none, or if it cannot be read."""
+    """The position in the run's checkpoint. Raises RunError if the checkpoint is missing or cannot be read."""
     path = _required(run)
     try:
         with safe_open(path, framework="pt") as file:
@@ -115,8 +116,8 @@ def position_of(stored: Mapping[str, str], path: Path) -> Position:
 
 
 def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimizer: Adam) -> Position:
-    """Load the run's checkpoint into the network, the mean of its weights (or the network again, where nothing is
-    averaged), and the optimizer, on their device, and return its position.
+    """Load the run's checkpoint into the network, the averaged network and the optimizer, on their device. Returns
+    the position. `averaged` is `network` itself if nothing is averaged.
 
     Raises RunError if the checkpoint is damaged, of another version, or of another network.
     """
@@ -148,7 +149,7 @@ def _moments(
         raise RunError(f"{path}: its step count is not valid; {_WAY_OUT}")
     return {
         "step": step.to(parameter.device) if optimizer.is_fused else step,
-        # in the parameter's own memory format, as if they had never left it
+        # in the parameter's memory format, as before saving
         **{
             moment: torch.zeros_like(parameter).copy_(_like(tensors[f"{moment}.{name}"], parameter, path))
             for moment in _MOMENTS[:2]
@@ -160,5 +161,5 @@ def _like(tensor: Tensor, parameter: Tensor, path: Path) -> Tensor:
     if tensor.shape != parameter.shape or tensor.dtype != parameter.dtype:
         raise RunError(f"{path}: {_ANOTHER}")
     if not torch.isfinite(tensor).all():
-        raise RunError(f"{path}: holds numbers that are not finite; train anew with a smaller --rate")
+        raise RunError(f"{path}: holds numbers that are not finite; train again with a smaller --rate")
     return tensor

@@ -1,8 +1,8 @@
 """Weights and checkpoints that carry their own checksum.
 
-A safetensors file whose metadata hold `sha256`: that of the whole file, with these 64 characters as zeros. Beside
-the file, or in config.json, it would be that of other weights whenever the computer dies between the two writes;
-here both are replaced in one step, and are copied together.
+The metadata of the safetensors file hold `sha256`: the SHA-256 of the whole file with these 64 characters as
+zeros. A checksum in another file would not match if the computer dies between the two writes. In the same file,
+both are replaced in one step and copied together.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _MAX_BYTES: Final = 1 << 30  # a checkpoint has 60 MB
 
 
 def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
-    """Replace `path` in one step: a full disk or a crash leaves the old file. Same content: the same bytes."""
+    """Replace `path` in one step: a full disk or a crash leaves the old file. Equal content gives equal bytes."""
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     header, values = _halves(save(contiguous))
     about = {"__metadata__": dict(sorted({**metadata, CHECKSUM: _ZEROS}.items())), **json.loads(header)}
     text = json.dumps(about, separators=(",", ":")).encode()
-    header = text.ljust(-(-len(text) // 8) * 8)  # so long that the tensors can be mapped into memory
+    header = text.ljust(-(-len(text) // 8) * 8)  # padded, so that the tensors can be mapped into memory
     header = header.replace(_ZEROS.encode(), _digest(header, values).encode(), 1)
     with replaced_file(path) as part, part.open("wb") as stream:
         stream.write(_length(header))
@@ -46,10 +46,10 @@ def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mappin
 
 
 def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """The tensors of a file of `run`, and its metadata, once its checksum is found to hold.
+    """The tensors and the metadata of a file of `run`, after its checksum is verified.
 
-    A file without one, of an earlier version, is read all the same, with a warning, once. Raises RunError for a
-    damaged file; `otherwise` is what to do then.
+    A file of an earlier version has no checksum: it is read, with one warning per run. Raises RunError for a
+    damaged file; its message ends with `otherwise`, the remedy.
     """
     try:
         data = read_bounded(path, _MAX_BYTES)
@@ -83,15 +83,15 @@ def _length(header: bytes) -> bytes:
 
 
 def _halves(data: bytes) -> tuple[bytes, memoryview]:
-    """The header, which is JSON, and the tensors' values, of a whole safetensors file."""
+    """The JSON header and the tensors' values of a whole safetensors file."""
     end = 8 + int.from_bytes(data[:8], "little")
     return data[8:end], memoryview(data)[end:]
 
 
 @functools.cache
 def _warn_without_checksum(run: Path) -> None:
-    # by `logging`: it is heard wherever a network is loaded, also where no command is
+    # by `logging`, so that programs without a command line hear it, too
     logging.getLogger(__name__).warning(
         "%s",
-        printable(f"{run}: of an earlier version, without checksums: damage to its weights cannot be noticed"),
+        printable(f"{run}: of an earlier version, without checksums: damage to its weights cannot be detected"),
     )

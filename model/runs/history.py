@@ -1,10 +1,10 @@
-"""The course of a training, read from its run folder, also while it goes on.
+"""The history of a training, read from its run folder, also while the training runs.
 
 metrics.jsonl   one line of JSON an epoch
 steps.jsonl     one line of JSON every few batches
 worst.jsonl     one line of JSON an epoch
 
-A run is not trusted: a line that no training writes is left out and named.
+A run is not trusted: a line that no training writes is skipped and named.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from model.runs.history_lines import parse_epoch, parse_step, parse_worst_pictur
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Epoch, Step
 from model.runs.worst_pictures import WORST_FILE, WorstPictures
 
-_MAX_BYTES: Final = 64 << 20  # of a file: half a million steps
+_MAX_BYTES: Final = 64 << 20  # half a million steps
 _MAX_LINE_BYTES: Final = 1 << 20
 
 Line = TypeVar("Line")
@@ -29,7 +29,7 @@ Line = TypeVar("Line")
 
 @dataclass(frozen=True)
 class History:
-    """The epochs, steps and worst pictures of a training, each in the order in which they happened."""
+    """The epochs, steps and worst pictures of a training, in the order in which they happened."""
 
     epochs: tuple[Epoch, ...]
     steps: tuple[Step, ...]
@@ -41,12 +41,12 @@ class History:
 
 
 def read_history(run: Path) -> tuple[History, Skipped]:
-    """The history of a training until now, empty without a training, and the lines that had to be left out.
+    """The history of a training until now (empty before its first line), and the lines that were skipped.
 
-    Raises RunError if a file of it is a link, too large or cannot be read.
+    Raises RunError if one of the files is a link, is too large or cannot be read.
     """
     skipped = Skipped()
-    # Metrics first: the steps and the worst frames of every epoch that is read are then there too.
+    # Metrics first: a training writes the steps and the worst frames of an epoch before its metrics.
     epochs = _read(run / METRICS_FILE, parse_epoch, lambda epoch: epoch.epoch, skipped)
     steps = _read(run / STEPS_FILE, parse_step, lambda step: step.samples, skipped)
     worst = _read(run / WORST_FILE, parse_worst_pictures, lambda worst: worst.epoch, skipped)
@@ -54,15 +54,14 @@ def read_history(run: Path) -> tuple[History, Skipped]:
 
 
 def read_epochs(run: Path) -> tuple[Epoch, ...]:
-    """Only the epochs of a training until now; broken lines are left out. Raises RunError as `read_history`
-    does."""
+    """The epochs of a training until now, without broken lines. Raises RunError as `read_history` does."""
     return _read(run / METRICS_FILE, parse_epoch, lambda epoch: epoch.epoch, Skipped())
 
 
 def _read(
     path: Path, parse: Callable[[bytes], Line], order: Callable[[Line], int], skipped: Skipped
 ) -> tuple[Line, ...]:
-    """The lines of a file, each with a higher `order` than the one before."""
+    """The parsed lines of a file. A line whose `order` is not above that of the line before is skipped."""
     if path.is_symlink():
         raise RunError(f"{path}: a link; copy its target into the run's folder")
     try:

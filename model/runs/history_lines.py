@@ -1,7 +1,7 @@
-"""Lines of a run's metrics.jsonl, steps.jsonl and worst.jsonl, checked: a run is not trusted.
+"""Parse and check lines of a run's metrics.jsonl, steps.jsonl and worst.jsonl: a run is not trusted.
 
-Each function raises ValueError, KeyError, TypeError or RecursionError for a line that no training writes. Fields
-that it does not read, such as those of later versions, may hold anything.
+Each function raises ValueError, KeyError, TypeError or RecursionError for a line that no training writes. It
+ignores unknown fields, for example those of later versions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from model.runs.answer_scale import AnswerScale
 from model.runs.training_progress import Epoch, Step
 from model.runs.worst_pictures import WORST_COUNT, WorstFrame, WorstPictures
 
-_LARGEST_COUNT: Final = 1 << 62  # samples, or ns; beyond it, nothing was ever trained
+_LARGEST_COUNT: Final = 1 << 62  # samples or ns; no training reaches it
 _LARGEST_NUMBER: Final = 1e100  # its square is still a number
 _MAX_CHARACTERS: Final = 1000  # of a session's name
 
@@ -33,7 +33,7 @@ def parse_epoch(line: bytes) -> Epoch:
         raise TypeError("no object")
     answers, learnt = values.get("answers"), values.get("learnt")  # earlier versions have neither
     return Epoch(
-        _count(values["epoch"], least=1),
+        _count(values["epoch"], minimum=1),
         _number(values["training_loss"]),
         _number(values["validation_loss"]),
         parse_measures(values, "validation"),
@@ -48,7 +48,7 @@ def parse_epoch(line: bytes) -> Epoch:
 
 
 def parse_measures(values: Any, network: str) -> Measures:
-    """The measures in a line, with the network's errors by that name."""
+    """The measures in a line; `network` is the field with the network's errors."""
     bins = tuple(_part(BinErrors, part) for part in values["bins"])
     if not all(part.frames and -1.001 <= part.low < part.high <= 1.001 for part in bins):
         raise ValueError("no bin of steering")
@@ -79,7 +79,7 @@ def parse_worst_pictures(line: bytes) -> WorstPictures:
         if not may_be_crop(jpeg):
             raise ValueError("no crop that a network sees")
         decode(jpeg)  # raises ValueError if it is no picture
-    return WorstPictures(_count(values["epoch"], least=1), frames, jpegs, _max_deg(values))
+    return WorstPictures(_count(values["epoch"], minimum=1), frames, jpegs, _max_deg(values))
 
 
 def _max_deg(values: Any) -> float | None:
@@ -92,18 +92,18 @@ def _max_deg(values: Any) -> float | None:
 
 
 def _part(kind: type[Part], values: Mapping[str, Any]) -> Part:
-    """The fields of a dataclass, checked by their types; others may hold anything."""
+    """A dataclass from the fields in `values`, each checked by its type. Other fields are ignored."""
     return kind(**{field.name: _CHECKS[str(field.type)](values[field.name]) for field in fields(kind)})
 
 
-def _count(value: Any, least: int = 0) -> int:
-    if type(value) is not int or not least <= value <= _LARGEST_COUNT:
+def _count(value: Any, minimum: int = 0) -> int:
+    if type(value) is not int or not minimum <= value <= _LARGEST_COUNT:
         raise ValueError("not a count")
     return value
 
 
 def _number(value: Any) -> float:
-    """A number; NaN for null, which JSON has in place of NaN."""
+    """A number; NaN for null, because JSON has no NaN."""
     if value is None:
         return math.nan
     if type(value) not in (int, float) or not abs(value) <= _LARGEST_NUMBER:
@@ -119,7 +119,7 @@ def _text(value: Any) -> str:
 
 def _target(value: Any) -> str:
     if value not in TARGET_NAMES[1:]:
-        raise ValueError("no target besides steering")
+        raise ValueError("not a target other than steering")
     return str(value)
 
 

@@ -1,7 +1,7 @@
-"""The results of a run's evaluations, kept in its folder: results.jsonl, a line for each.
+"""The results of a run's evaluations: results.jsonl in its folder, one line a result.
 
-A line has the time of the measurement, and the SHA-256 of the weights: a run that was trained on since has others.
-Results are not trusted: a line that cannot be one is left out and counted.
+A line has the time of the measurement and the SHA-256 of the weights, because more training changes the weights.
+Results are not trusted: an invalid line is skipped and counted.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from model.runs.run_files import append_json_line
 _MAX_BYTES: Final = 64 << 20  # a hundred thousand results
 
 Way = Literal["frames", "recording", "simulator", "supervised"]
-"""Of "supervised", a person took over from the network (`bc-drive --takeover me`). Earlier versions let a network
-drive a recording, too."""
+"""In a "supervised" drive, a person took over from the network (`bc-drive --takeover me`). Only earlier versions
+write "recording": a network drove along a recording."""
 
 
 class KeptResult(msgspec.Struct, frozen=True):
     measured_at: str  # UTC, ISO 8601
     way: Way
     weights_sha256: str
-    result: dict[str, Any]  # as `bc-eval --json` has it; of a supervised drive, as `drive.kept_drive` makes it
+    result: dict[str, Any]  # as `bc-eval --json` prints it; of a supervised drive, as `drive.kept_drive` makes it
 
 
 def keep_result(run: Path, way: Way, result: Mapping[str, Any]) -> None:
-    """Add a result of the run's weights, or of those of its last epoch (NAME/last). Raises RunWriteError where the
-    folder cannot be written to."""
+    """Add a result of the run's best weights, or of its last ones (NAME/last). Raises RunWriteError if the folder
+    cannot be written to."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     kept = KeptResult(now, way, weights_checksum(run), dict(result))
     append_json_line(config_folder(run) / RESULTS_FILE, msgspec.to_builtins(kept))

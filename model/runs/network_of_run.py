@@ -1,4 +1,5 @@
-"""The network of a run, and its picture, by its config.json. No code that it names is run unasked."""
+"""The network of a run and the picture that it sees, from its config.json. Code that the config names runs only if
+the user names it, too."""
 
 from __future__ import annotations
 
@@ -20,14 +21,14 @@ if TYPE_CHECKING:
     from model.network.choice import NetworkChoice  # loads PyTorch
 
 NETWORK_FILE: Final = "network.py"
-"""A run's copy of the file that its network is of."""
+"""A run's copy of the file that defines its network."""
 
 _EARLIER: Final = "bojarski2016-modified"
-"""The name of the original network in earlier versions, which had no other."""
+"""The name of the original network in earlier versions, which had only this one."""
 
 
 class StoredNetwork(msgspec.Struct, frozen=True):
-    """The network of a run, as its config.json has it."""
+    """The network of a run, as its config.json stores it."""
 
     name: str = "original"
     arguments: dict[str, Any] = {}
@@ -35,7 +36,7 @@ class StoredNetwork(msgspec.Struct, frozen=True):
 
 
 class _StoredSettings(msgspec.Struct, frozen=True):
-    """The settings of a run's training that are about its network, as its config.json has them."""
+    """The training settings of a run that concern its network, as its config.json stores them."""
 
     network_args: tuple[str, ...] = ()
     target_weights: tuple[Annotated[float, msgspec.Meta(ge=0)], ...] = ()
@@ -76,9 +77,9 @@ def picture_of(config: dict[str, Any], folder: Path) -> PictureSpec:
 
 
 def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
-    """The network of the run in `folder`, to be made.
+    """The network of the run in `folder`, ready to build.
 
-    Raises RunError for a user's own network that was not named in this process (`load_code`), or has changed.
+    Raises RunError for a user's own network if this process did not load it (`load_code`), or if it has changed.
     """
     from model.network.choice import NetworkChoice, built_in
 
@@ -100,7 +101,7 @@ def choice_of(config: dict[str, Any], folder: Path) -> NetworkChoice:
 
 
 def network_flag(stored: StoredNetwork, folder: Path) -> str:
-    """The flag that names the network of a run; of a file, the copy that the run keeps."""
+    """The flag that names the network of a run; for a file, the run's copy if it has one."""
     name = stored.name
     if is_own(name) and is_file(name) and (folder / NETWORK_FILE).is_file():
         name = f"{folder / NETWORK_FILE}:{name.rpartition(':')[2]}"
@@ -108,7 +109,7 @@ def network_flag(stored: StoredNetwork, folder: Path) -> str:
 
 
 def is_own_network(config: dict[str, Any]) -> bool:
-    """Whether a run's network is a user's own code, by its config.json."""
+    """True if a run's config.json names a user's own code as its network."""
     stored = config.get("network")
     name = stored.get("name") if isinstance(stored, dict) else None
     return isinstance(name, str) and is_own(name)

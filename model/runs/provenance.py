@@ -1,4 +1,4 @@
-"""Provenance: the settings of a run, the exact data it saw, and the versions that trained it."""
+"""Provenance: the settings of a run, its exact training data, and the versions that trained it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from model.runs.run_inputs import relative_place
 
 
 class StoredLog(msgspec.Struct):
-    """A log of the index that a run was trained on, as its config.json has it."""
+    """A log of the index that a run was trained on, as its config.json stores it."""
 
     fingerprint: str
 
 
 class StoredData(msgspec.Struct):
-    """The index that a run was trained on, as its config.json has it."""
+    """The index that a run was trained on, as its config.json stores it."""
 
     settings: dict[str, Any]
     logs: dict[str, StoredLog]
@@ -59,7 +59,7 @@ def provenance(
 
 
 def init_provenance(init: Path, run: Path) -> dict[str, Any]:
-    """The weights that `run` starts from, and all data that these were trained on before."""
+    """The weights that `run` starts from, and all data that they were trained on."""
     before = load_config(init)
     earlier = before.get("init")
     data = earlier.get("data") if isinstance(earlier, dict) else None
@@ -81,7 +81,7 @@ def versions() -> dict[str, str]:
 
 
 def machine_settings(machine: Machine) -> dict[str, Any]:
-    """Settings of the machine that the last bits of the weights depend on, besides `TrainConfig`."""
+    """Settings of the machine that change the last bits of the weights. `TrainConfig` has the others."""
     return {
         "device": machine.device.type,
         "arithmetic": machine.arithmetic,
@@ -100,16 +100,16 @@ def training_of(stored: dict[str, Any], run: Path) -> TrainConfig:
 
 
 def is_trained_on(stored: dict[str, Any], run: Path, samples: Samples) -> bool:
-    """True if a run with this config was trained on these samples, whether or not their logs were rewritten since.
-    Raises RunError if the config does not record its samples."""
+    """True if a run with this config was trained on these samples, even if their logs were rewritten since. Raises
+    RunError if the config does not record its samples."""
     try:
         data = stored["data"]
         labels = samples.targets_fingerprint(stored_targets(stored, run))
-        if str(data.get("targets_fingerprint", "")) != labels:  # earlier versions had steering alone
+        if str(data.get("targets_fingerprint", "")) != labels:  # earlier versions: steering only
             return False
         if str(data["fingerprint"]) == samples.fingerprint:
             return True
-        # earlier versions did not keep it
+        # earlier versions did not store the fingerprint of the content
         return str(data.get("content_fingerprint", "")) == samples.content_fingerprint
     except (KeyError, TypeError, AttributeError):
         raise RunError(f"{run / CONFIG}: does not name the data that the run was trained on") from None

@@ -1,4 +1,4 @@
-"""The index that a run was trained on: found, built again, or with takeovers added."""
+"""Find the index that a run was trained on, rebuild it, or add takeovers to it."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from model.runs.run_inputs import log_to_open, logs_of
 def index_of_run(
     run: Path, index: Location, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
 ) -> Location:
-    """An index of the samples that `run` was trained on: `index` itself, or one that is built next to it
-    from the run's settings and the logs of its sessions, in `sessions` or where they were.
+    """An index of the samples that `run` was trained on: `index` itself, or one that is built next to `index` from
+    the run's settings and logs. The logs are in `sessions`, or where they were during training.
 
-    `on_notice` gets the notices of building it. Raises RunError if these logs, or their tags, have changed since;
-    DatasetError if one is gone, LogError if one cannot be read: without it, the samples would be others.
+    `on_notice` gets the notices of the build. Raises RunError if a log or its tags have changed since;
+    DatasetError if a log is missing; LogError if a log cannot be read.
     """
     stored = load_config(run)
     index = absolute(index)
@@ -52,8 +52,9 @@ def index_of_run(
             raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
         if not is_trained_on(stored, run, samples):
             raise RunError(
-                f"{own}: the same logs and settings as {run} had, but other samples: their tags have changed, they"
-                " were rewritten (`bc-log rewrite`), or it was made by another version of the toolkit"
+                f"{own}: the same logs and settings as {run} had, but other samples: the tags of the logs have"
+                " changed, the logs were rewritten (`bc-log rewrite`), or another version of the toolkit built the"
+                " index"
             )
     return own
 
@@ -61,10 +62,10 @@ def index_of_run(
 def logs_with_takeovers(
     run: Path, takeovers: Sequence[Location], sessions: Location, drives: Location
 ) -> tuple[list[Location], IndexConfig]:
-    """The logs that `run` was trained on and those with takeovers, and the settings of their index.
+    """The logs that `run` was trained on followed by the logs `takeovers`, and the settings of their index.
 
-    The former are looked for in `sessions`, drives among them in `drives`. Raises RunError if the config of the
-    run does not record them, DatasetError if one is gone or has changed.
+    The run's logs are looked for in `sessions`, then in `drives`. Raises RunError if the config of the run does
+    not record its logs; DatasetError if a log is missing or has changed.
     """
     settings, fingerprints = _data_of(load_config(run), run)
     logs: list[Location] = []
@@ -76,7 +77,7 @@ def logs_with_takeovers(
 
 
 def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:
-    """True if an index can be used, and holds the samples that a run with this config was trained on."""
+    """True if the index is readable and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:
             return is_trained_on(stored, run, samples)
@@ -87,7 +88,7 @@ def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:
 
 
 def _data_of(stored: dict[str, Any], run: Path) -> tuple[IndexConfig, dict[str, str]]:
-    """The settings of the index that a run has learnt from, and fingerprints of its logs by session."""
+    """The settings of the index that a run was trained on, and the fingerprints of its logs by session."""
     try:
         data = msgspec.convert(stored.get("data"), StoredData)
         if any(Path(name).name != name for name in data.logs):

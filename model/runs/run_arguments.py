@@ -18,14 +18,14 @@ RUNS: Final = Path("runs")
 
 
 def new_run_name() -> str:
-    """A name for a new run: the date and time, and six random digits, because several trainings may begin in the
+    """A name for a new run: the date, the time and six random digits, because several trainings may begin in the
     same second."""
     return f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}-{secrets.token_hex(3)}"
 
 
 def run_argument(run: Path) -> str:
-    """A run as an argument of a command, quoted for a shell: its name if it lies in `RUNS`, its URL if it is a
-    copy of one in a store, else its path."""
+    """A run as an argument of a command, quoted for a shell: its name if it is in `RUNS`, its URL if it is a copy
+    of a run in a store, else its path."""
     return shlex.quote(run.name if run.parent == RUNS else cached_from(run) or str(run))
 
 

@@ -1,4 +1,4 @@
-"""A run's config.json, and which weights are meant by its name: read without PyTorch."""
+"""A run's config.json, and the weights that NAME and NAME/last mean. Needs no PyTorch."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from model.runs.run_files import CHECKPOINT, CONFIG, LAST, WEIGHTS
 
 FORMAT: Final = 4
 DRIVABLE: Final = (1, 2, 3, 4)
-"""1 has less about its training; 2 may have a scale of its answers in its last layer; up to 3, steering is all."""
-MAX_CONFIG_BYTES: Final = 64 << 20  # it names every log
+"""Format 1 has fewer training settings. In format 2, the last layer may hold the answer scale. Up to format 3, the
+only target is steering."""
+MAX_CONFIG_BYTES: Final = 64 << 20  # a config.json names every log
 
 
 def load_config(folder: Path) -> dict[str, Any]:
@@ -30,12 +31,12 @@ def load_config(folder: Path) -> dict[str, Any]:
         raise RunError(
             f"{path}: of format {version}, this toolkit reads {DRIVABLE[0]} to {FORMAT}; update the toolkit"
         )
-    picture_of(config, path)  # refuses what this toolkit does not do
+    picture_of(config, path)  # raises RunError for another preprocessing
     return dict(config)
 
 
 def config_folder(folder: Path) -> Path:
-    """The folder of the run: NAME also of NAME/last."""
+    """The folder of the run: NAME for both NAME and NAME/last."""
     return folder.parent if is_last_weights(folder) else folder
 
 
@@ -45,11 +46,11 @@ def weights_path(folder: Path) -> Path:
 
 
 def is_last_weights(folder: Path) -> bool:
-    """Whether it is NAME/last, the weights after a run's last epoch."""
+    """True for NAME/last, the weights after a run's last epoch."""
     return folder.name == LAST and (folder / CHECKPOINT).is_file()
 
 
 def weights_checksum(folder: Path) -> str:
-    """SHA-256 of the run's weights, by which a drive's log names the network that drove."""
+    """SHA-256 of the run's weights. A drive's log names its network by it."""
     with weights_path(folder).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""A run's files: their names, writing them whole or not at all, and the lock of the process that trains it."""
+"""A run's files: their names, atomic writing, and the lock of the process that trains the run."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ WEIGHTS: Final = "model.safetensors"
 CONFIG: Final = "config.json"
 """A folder with this file is a run."""
 LAST: Final = "last"
-"""The folder in it with the state of its training, from which one that was stopped goes on."""
+"""The folder in a run with the state of its training, from which a stopped training continues."""
 CHECKPOINT: Final = "checkpoint.safetensors"
 TRAINING_LOCK: Final = "last/.lock"
 """A file that is locked while a process trains the run."""
 RESULTS_FILE: Final = "results.jsonl"
-"""The results of its evaluations, a line each: see kept_results.py."""
+"""The results of a run's evaluations, one a line: see kept_results.py."""
 
 
 @contextlib.contextmanager
 def replaced_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; it takes the place of `path` at the end. Raises RunWriteError, and
-    leaves the old file, where the disk is full or cannot be written to."""
+    """Yield a temporary path to write to, which replaces `path` at the end. Raises RunWriteError, and leaves the
+    old file, if the disk is full or cannot be written to."""
     with run_write_errors(path), atomic_file(path, overwrite=True) as part:
         yield part
 
@@ -47,8 +47,8 @@ def run_write_errors(path: Path) -> Iterator[None]:
 
 
 def append_json_line(path: Path, values: dict[str, Any]) -> None:
-    """Add a line of JSON, in which a number that does not exist (NaN, infinite) is null. A line before it that a
-    full disk or a kill has cut off is ended first."""
+    """Add a line of JSON; NaN and infinite numbers become null. If a full disk or a kill cut off the line before,
+    end that line first."""
     line = json.dumps(without_nan(values), allow_nan=False).encode() + b"\n"
     with run_write_errors(path), path.open("a+b") as stream:
         if stream.seek(0, os.SEEK_END):
@@ -58,7 +58,7 @@ def append_json_line(path: Path, values: dict[str, Any]) -> None:
 
 
 def keep_json_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> None:
-    """Leave only the wanted lines; broken ones, which a killed training leaves, go."""
+    """Remove the lines that are not wanted, and broken ones, which a killed training leaves."""
     kept = []
     with contextlib.suppress(FileNotFoundError):
         for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -70,9 +70,9 @@ def keep_json_lines(path: Path, wanted: Callable[[dict[str, Any]], bool]) -> Non
 
 
 def without_nan(value: Any) -> Any:
-    """The value as JSON can hold it: numbers that do not exist (NaN, infinite) become None."""
+    """The value with None in place of NaN and infinite numbers, which JSON cannot hold."""
     if isinstance(value, dict):
-        return {key: without_nan(each) for key, each in value.items()}
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -94,5 +94,5 @@ def locked_for_training(run: Path) -> Iterator[None]:
 
 
 def is_being_trained(run: Path) -> bool:
-    """Whether a process of this machine trains the run."""
+    """True while a process on this machine trains the run."""
     return is_being_written(run / TRAINING_LOCK)

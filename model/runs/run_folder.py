@@ -1,12 +1,12 @@
-"""The run folder: weights, what made them, and how training went. Nothing in it is ever unpickled.
+"""The run folder: weights, their provenance and the history of the training. Nothing in it is ever unpickled.
 
-runs/NAME/model.safetensors   the weights of the best epoch: these drive; with their checksum, see checksums.py
+runs/NAME/model.safetensors   the weights of the best epoch, which drive; with their checksum, see checksums.py
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
-runs/NAME/network.py          the file of its network, if it is a user's own
+runs/NAME/network.py          the code of the network, if it is a user's own file
 runs/NAME/metrics.jsonl       one line an epoch
 runs/NAME/steps.jsonl         one line every few batches
-runs/NAME/worst.jsonl         one line an epoch: the frames held out at which it is off the most
-runs/NAME/last/               where training stands: see checkpoint.py
+runs/NAME/worst.jsonl         one line an epoch: the frames held out with the largest errors
+runs/NAME/last/               the state of the training: see checkpoint.py
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from model.runs.runs_in_store import bring_run, find_in_store
 def create_run(
     folder: Path, config: dict[str, Any], picture: PictureSpec = ORIGINAL, network_file: bytes = b""
 ) -> None:
-    """Make a run folder with its config, and the file that its network is of. Raises RunError if there is one
-    already."""
+    """Make a run folder with its config and, if the network is a user's own file, that file. Raises RunError if
+    `folder` exists."""
     refuse_existing_run(folder)
     with run_write_errors(folder):
         folder.mkdir(parents=True)
@@ -86,7 +86,7 @@ def write_config(folder: Path, config: dict[str, Any]) -> None:
 
 
 def run_name(folder: Path) -> str:
-    """NAME of runs/NAME, and NAME-last of runs/NAME/last: the weights after its last epoch, not its best."""
+    """NAME for runs/NAME; NAME-last for runs/NAME/last, the weights after the last epoch."""
     folder = real_path(folder)
     return f"{folder.parent.name}-{LAST}" if is_last_weights(folder) else folder.name
 
@@ -96,7 +96,7 @@ def save_weights(
 ) -> None:
     """Replace the run's weights in one step: a full disk or a crash leaves the old ones.
 
-    `answers` is the scale of the answers that they give; the weights are as learnt.
+    The weights are as learnt; `answers` is the scale for their answers.
     """
     scale = {} if answers in (None, AnswerScale()) else answers.metadata
     save_checksummed(folder / WEIGHTS, weights, {"epoch": str(epoch), **scale})
@@ -104,8 +104,8 @@ def save_weights(
 
 @contextlib.contextmanager
 def removed_unless_saved(folder: Path, has_learnt: Callable[[], bool]) -> Iterator[None]:
-    """Around the training of the run in `folder`, which this process has made: if that ends before anything that
-    it has learnt is saved, the folder goes, and its name is free again."""
+    """Remove the new run in `folder` if its training in this block ends before it saves anything, so that the name
+    is free again."""
     try:
         yield
     finally:
@@ -114,7 +114,7 @@ def removed_unless_saved(folder: Path, has_learnt: Callable[[], bool]) -> Iterat
 
 
 def newest_run(runs: Path) -> Path:
-    """The run whose weights were written last. Raises RunError if there is none."""
+    """The run with the newest weights. Raises RunError if `runs` has no trained run."""
     weights = sorted(runs.glob(f"*/{WEIGHTS}"), key=lambda path: path.stat().st_mtime_ns)
     if not weights:
         raise RunError(f"{runs}: no trained run in it; train one with `bc-train`")
@@ -122,15 +122,15 @@ def newest_run(runs: Path) -> Path:
 
 
 def find_run(name: str | None, runs: Location | str) -> Path:
-    """A run by name (in `runs`), by path or by URL; the newest one without a name. NAME/last has a run's last
-    weights. Of a run in a store, it is a copy in the user's cache."""
+    """Find a trained run by name (in `runs`), by path or by URL. Without a name: the run with the newest weights.
+    NAME/last has a run's last weights. For a run in a store, returns its copy in the user's cache."""
     runs = location(runs)
-    if (copy := _brought(name, runs)) is not None:
+    if (copy := _downloaded(name, runs)) is not None:
         if not (copy / WEIGHTS).is_file() and not is_last_weights(copy):
             url = read_record(config_folder(copy)).url
             raise RunError(f"{url}: its first epoch is not finished; `bc-train --resume {url}`")
         return copy
-    runs = _here(runs)
+    runs = _local_folder(runs)
     if name is None:
         return newest_run(runs)
     for folder in (runs / name, Path(name)):
@@ -145,37 +145,40 @@ def find_run(name: str | None, runs: Location | str) -> Path:
         resume = f"`bc-train --resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
     raise RunError(
-        f"{_meant(name, runs)}: no trained run there ({WEIGHTS} is missing); {_known(name, runs, WEIGHTS)}"
+        f"{_expected_path(name, runs)}: no trained run there ({WEIGHTS} is missing);"
+        f" {_suggestion(name, runs, WEIGHTS)}"
     )
 
 
 def has_nothing_saved(run: Path) -> bool:
-    """Whether a run was killed before its first checkpoint, so that nothing of its training was ever saved."""
+    """True if a run was killed before its first checkpoint: nothing of its training was saved."""
     return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
 
 
 def find_any_run(name: str, runs: Location) -> Path:
-    """A run by name (in `runs`), by path or by URL, also one that has not finished an epoch. Raises RunError if
-    there is none."""
-    if (copy := _brought(name, runs)) is not None:
+    """Find a run by name (in `runs`), by path or by URL, even if it has not finished an epoch. Raises RunError if
+    it does not exist."""
+    if (copy := _downloaded(name, runs)) is not None:
         return copy
-    runs = _here(runs)
+    runs = _local_folder(runs)
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
-    raise RunError(f"{_meant(name, runs)}: no run there ({CONFIG} is missing); {_known(name, runs, CONFIG)}")
+    raise RunError(
+        f"{_expected_path(name, runs)}: no run there ({CONFIG} is missing); {_suggestion(name, runs, CONFIG)}"
+    )
 
 
-def _meant(name: str, runs: Path) -> Path:
-    """Where a run of that name was expected: a path is one already."""
+def _expected_path(name: str, runs: Path) -> Path:
+    """The path at which a run was expected: `name` if it is a path, else `name` in `runs`."""
     return Path(name) if len(Path(name).parts) > 1 else runs / name
 
 
-def _brought(name: str | None, runs: Location) -> Path | None:
-    """A copy of a run in a store, as it is there now; None for a run of this machine."""
-    of_run, _, last = (name or "").rstrip("/").rpartition("/")
-    is_last = bool(of_run) and last == LAST
-    stored = find_in_store(of_run if is_last else name, runs)
+def _downloaded(name: str | None, runs: Location) -> Path | None:
+    """An up-to-date copy of a run in a store; None for a run on this machine."""
+    parent, _, last = (name or "").rstrip("/").rpartition("/")
+    is_last = bool(parent) and last == LAST
+    stored = find_in_store(parent if is_last else name, runs)
     if stored is None:
         return None
     with progress_bar() as progress:
@@ -183,12 +186,12 @@ def _brought(name: str | None, runs: Location) -> Path | None:
     return copy / LAST if is_last else copy
 
 
-def _here(runs: Location) -> Path:
-    """The folder that local paths of runs begin in."""
+def _local_folder(runs: Location) -> Path:
+    """The local folder in which names of runs are looked up."""
     return RUNS if isinstance(runs, Url) else runs
 
 
-def _known(name: str, runs: Path, file: str) -> str:
+def _suggestion(name: str, runs: Path, file: str) -> str:
     given = Path(name)
     name = given.name if given.parent == runs else name  # runs/frist is in this folder, hub/frist is not
     return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
@@ -205,21 +208,21 @@ def targets_of_run(folder: Path) -> tuple[TargetName, ...]:
 
 
 def speed_ahead_s_of_run(folder: Path) -> float:
-    """The time after which the speed is to be driven that the run's network answers; 0 where its config lacks it.
-    Raises RunError as `load_config` does."""
+    """The time in seconds after which the car should have the speed that the run's network answers; 0 if the
+    config does not record it. Raises RunError as `load_config` does."""
     data = load_config(folder).get("data")
     return speed_ahead_s_in(data.get("settings")) if isinstance(data, dict) else 0.0
 
 
 def choice_of_run(folder: Path) -> NetworkChoice:
-    """The run's network, to be made. Raises RunError as `load_config` and `choice_of` do."""
+    """The run's network, ready to build. Raises RunError as `load_config` and `choice_of` do."""
     return choice_of(load_config(folder), config_folder(folder))
 
 
 def load_named(names: Sequence[str | None], runs: Sequence[Path]) -> None:
-    """Run the code of networks that a user has named for these runs; None names none.
+    """Run the code of the networks that a user has named for `runs`; skip None.
 
-    Raises UsageError for a name that none of them needs, RunError where there is no such code.
+    Raises UsageError for a name that no run needs, RunError if the code does not exist.
     """
     for name in names:
         if name is None:
@@ -237,8 +240,8 @@ def load_named(names: Sequence[str | None], runs: Sequence[Path]) -> None:
 
 
 def load_network(folder: Path) -> PictureNetwork:
-    """The run's network, ready to predict. Raises RunError if its weights are damaged or of another shape, or if
-    it is a user's own network that was not named, or does not work here."""
+    """The run's network, ready to predict. Raises RunError if the weights are damaged or of another shape, or if
+    the network is a user's own and was not named, or does not work on this machine."""
     choice = choice_of_run(folder)
     network = choice.build()
     answers = load_weights(folder, network)
@@ -249,8 +252,8 @@ def load_network(folder: Path) -> PictureNetwork:
 
 
 def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
-    """Bring the run's weights into a network, as they were learnt; the scale of the run's answers. Raises RunError
-    if they are damaged, or do not fit."""
+    """Load the run's weights, as learnt, into `network`. Returns the scale of the run's answers. Raises RunError
+    if the weights are damaged, or do not fit."""
     path = weights_path(folder)
     weights, stored = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
     if is_last_weights(folder):
@@ -259,9 +262,7 @@ def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
     try:
         network.load_state_dict(weights)
     except RuntimeError:
-        raise RunError(
-            f"{path}: weights of another network than that of its config.json; train it again"
-        ) from None
+        raise RunError(f"{path}: weights of another network than its config.json names; train it again") from None
     return _answer_scale(stored, path)
 
 
@@ -276,7 +277,7 @@ def load_answer_scale(folder: Path) -> AnswerScale:
 
 
 def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
-    """The answer scale of weights or of a checkpoint, by their metadata."""
+    """The answer scale in the metadata of weights or of a checkpoint."""
     if "position" in stored:
         position = position_of(stored, path)
         return AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)

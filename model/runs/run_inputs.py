@@ -1,7 +1,7 @@
 """The places of a run's inputs: its index, its logs, and the run whose weights it started from.
 
-A run's config.json has them relative to its folder: all can be moved together. Those of a run in a store are
-looked for where they would be if it were in runs/ here.
+A run's config.json stores them relative to the run's folder, so all can be moved together. For a run in a store,
+they are resolved as if the run were in runs/ in the current folder.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, 
 
 
 def relative_place(run: Path, place: Location) -> str:
-    """A place as a run's config has it: relative to the run's folder; the URL of one in a store."""
+    """A place as a run's config stores it: relative to the run's folder; a URL for a place in a store."""
     if isinstance(place, Url):
         return str(place)
     run, place = real_path(run), real_path(place)
@@ -37,14 +37,18 @@ def relative_place(run: Path, place: Location) -> str:
 
 
 def index_of(run: Path) -> Location | None:
-    """The index that a run was trained on, there or not; None where its config lacks it, as in runs of
-    earlier versions."""
+    """The place of the index that a run was trained on, which may not exist any more; None if the config does not
+    record it, as in earlier versions."""
     return _place_of(run, load_config(run).get("index"))
 
 
 def allowed_index_of(run: Path) -> Location | None:
-    """The index that a run was trained on, if the run may name its place; None also if it is gone from another
-    place. Raises RunError if it is there: a run from elsewhere may name any place."""
+    """The index that a run was trained on, if the run may name its place, or None if the config does not record
+    it.
+
+    A run from elsewhere may name any place. For a place that it may not name: None if no index exists at that
+    place, else raises RunError.
+    """
     index = index_of(run)
     if index is None or index in _allowed(run):
         return index
@@ -54,14 +58,14 @@ def allowed_index_of(run: Path) -> Location | None:
 
 
 def remember_inputs(run: Path, samples: Samples, init: Path | None) -> None:
-    """Let the run, which is trained here, name its index, logs and first weights wherever they are."""
+    """Allow a run that is trained on this machine to name its index, logs and first weights, wherever they are."""
     folders = folders_of(log.path for log in samples.logs.values())
     inits = () if init is None else (location(cached_from(init) or init),)
     remember_places(run, run.parent.parent, [samples.path.parent, *folders, *inits])
 
 
 def logs_of(run: Path) -> dict[str, Location]:
-    """The logs of a run's index by session, where they were; empty where its config lacks them."""
+    """The places of the logs of a run's index, by session; empty if the config does not record them."""
     stored, index = load_config(run), index_of(run)
     try:
         logs = {str(name): str(log["log"]) for name, log in stored["data"]["logs"].items()}
@@ -75,15 +79,15 @@ def logs_of(run: Path) -> dict[str, Location]:
 
 
 def log_to_open(run: Path, session: str, log: Location) -> Location:
-    """A log of `logs_of`. Raises RunError if the run may not name its place."""
+    """Return `log`, a log of `logs_of`. Raises RunError if the run may not name its place."""
     if log in _allowed(run):
         return log
     raise _not_allowed(run, f"{printable(str(log))} as the log of {printable(session)}", "--sessions", log.parent)
 
 
 def sessions_of(run: Path) -> Location | None:
-    """The folder that holds the logs of a run's index, if it is one folder that the run may name, and still there
-    or in a store."""
+    """The folder with all logs of a run's index; None if they are in several folders, if the run may not name the
+    folder, or if it is on this machine and does not exist any more."""
     folders: set[Location] = {log.parent for log in logs_of(run).values()}
     if len(folders) != 1:
         return None
@@ -94,10 +98,10 @@ def sessions_of(run: Path) -> Location | None:
 
 
 def init_of(run: Path, runs: Location) -> Path | None:
-    """The run whose weights `run` was started from, where it was, or by its name in `runs`; None if it began with
-    random ones.
+    """The run whose weights `run` was started from, at its recorded place or by its name in `runs`; None if `run`
+    began with random weights.
 
-    Raises RunError if that run is gone, or has other weights by now.
+    Raises RunError if the earlier run is missing, or if its weights have changed.
     """
     stored = load_config(run).get("init")
     if stored is None:
@@ -131,7 +135,7 @@ def _allowed(run: Path) -> AllowedPlaces:
 
 
 def _projects(folder: Path) -> list[Location]:
-    """The folder that holds runs/ with the run in it; of a run in a store, its bucket and that folder here."""
+    """The folder that holds runs/ with the run in it; for a run in a store, its bucket and the current project."""
     if url := cached_from(folder):
         return [location(url), real_path(RUNS).parent]
     return [real_path(folder).parent.parent]

@@ -1,4 +1,4 @@
-"""The numbers of a run, from its files, by which it is judged. None of them is trusted."""
+"""The numbers of a run, from its files, for the verdict on it. They are not trusted."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from model.runs.run_arguments import RUNS, run_argument
 from model.runs.training_progress import Epoch
 
 BUILT_IN_CAR: Final = {"max_steering_deg": 25.0, "wheelbase_m": 2.6}
-"""By these the built-in simulator's car is recognised, whose roads can be driven as often as one likes."""
+"""These settings identify the car of the built-in simulator, on whose roads more can be recorded at any time."""
 
 
 class StoredHabits(msgspec.Struct):
-    """How a session was steered, as far as a judgement needs it (`recorder.rows.steering_habits`)."""
+    """How a session was steered: the part of `recorder.rows.steering_habits` that the verdict needs."""
 
     kind: str = ""
     rows: int = 0
@@ -49,7 +49,7 @@ class StoredLabels(msgspec.Struct):
 
     @property
     def hand(self) -> Hand | None:
-        """None where it is not known."""
+        """How the session was steered; None if unknown."""
         if self.habits.kind == "steps" or self.plan.smooth_s > 0:
             return "keys"
         return "smooth" if self.habits.kind == "smooth" else None
@@ -69,7 +69,7 @@ class StoredSettings(msgspec.Struct):
 
 
 class StoredIndex(msgspec.Struct):
-    """The index that a run was trained on, as its config.json has it."""
+    """The index that a run was trained on, as its config.json stores it."""
 
     logs: dict[str, dict[str, Any]] = {}
     labels: dict[str, StoredLabels] = {}
@@ -86,20 +86,20 @@ class StoredTraining(msgspec.Struct):
 
 @dataclass(frozen=True)
 class RunNumbers:
-    """A run in numbers. `measured` are the errors that are judged: those of the epoch kept, where not others."""
+    """A run in numbers. The verdict judges the errors `measured`, by default those of the kept epoch."""
 
     run: str  # as an argument of a command
     measured: Measures | None
     epochs: tuple[Epoch, ...] = ()
     training: StoredTraining = field(default_factory=StoredTraining)
     data: StoredIndex = field(default_factory=StoredIndex)
-    hands: frozenset[Hand] = frozenset()  # of the measured rows; empty if any is unknown
-    is_unseen: bool = False  # nothing was learnt from the drives that the measured rows are of
-    drives: tuple[Mapping[str, Any], ...] = ()  # the last one of each track and speed
+    hands: frozenset[Hand] = frozenset()  # of the measured rows; empty if one is unknown
+    is_unseen: bool = False  # the run learnt nothing from the drives of the measured rows
+    drives: tuple[Mapping[str, Any], ...] = ()  # the last drive of each track and speed
     index: str = "index"  # path, from the current folder
     runs: Path = RUNS
     is_training: bool = False
-    has_crashes: bool = False  # among the measured rows, as an earlier version's index held them out
+    has_crashes: bool = False  # measured rows include crashes, because an earlier version's index held them out
 
     @property
     def kept(self) -> Epoch | None:
@@ -107,13 +107,13 @@ class RunNumbers:
 
     @property
     def is_built_in(self) -> bool:
-        """Whether all of its sessions are of the built-in simulator."""
+        """True if all sessions of the run are of the built-in simulator."""
         cars = [log.get("car") for log in self.data.logs.values()]
         return bool(cars) and all(isinstance(car, dict) and BUILT_IN_CAR.items() <= car.items() for car in cars)
 
     @property
     def is_donkeycar(self) -> bool:
-        """Whether all of its sessions are tubs: no simulator has their road."""
+        """True if all sessions of the run are tubs: no simulator has their road."""
         return bool(self.data.logs) and all(log.get("source") == "donkeycar" for log in self.data.logs.values())
 
     @property
@@ -136,18 +136,18 @@ class RunNumbers:
 
     @property
     def sessions_flag(self) -> str:
-        """The flag by which `bc-index` finds its logs; none for sessions/, or for several folders."""
+        """The flag with which `bc-index` finds the run's logs; empty for sessions/, or for several folders."""
         folders = {str(PurePosixPath(shlex.split(self.log_of(name))[0]).parent) for name in self.data.logs}
         folder = folders.pop() if len(folders) == 1 else "sessions"
         return "" if folder == "sessions" else f" --sessions {shlex.quote(folder)}"
 
     def of_rows(self, measured: Measures | None, sessions: Sequence[str]) -> RunNumbers:
-        """The same with the errors on rows of these sessions."""
+        """A copy with the errors `measured` on rows of these sessions."""
         hands = [self.data.labels.get(name, StoredLabels()).hand for name in sessions]
-        sure_hands = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
+        all_hands = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
         counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
         is_unseen = bool(counts) and not any(count.training for count in counts)
-        return replace(self, measured=measured, hands=sure_hands, is_unseen=is_unseen, has_crashes=False)
+        return replace(self, measured=measured, hands=all_hands, is_unseen=is_unseen, has_crashes=False)
 
 
 def run_numbers(
@@ -158,8 +158,8 @@ def run_numbers(
     *,
     is_training: bool = False,
 ) -> RunNumbers:
-    """The numbers of the run in `run`: of its config.json, its epochs, the last results of its weights. What the
-    config lacks, or has otherwise than a training writes it, is left out."""
+    """The numbers of the run in `run`, from its config.json, its epochs and the last results of its weights.
+    Settings that are missing from the config, or invalid, get their defaults."""
     training, data = _part(config, "training", StoredTraining), index_of_config(config)
     index = stored if isinstance(stored := config.get("index"), str) else ""
     if index and "://" not in index:
@@ -176,22 +176,23 @@ def run_numbers(
         runs=run.parent,
         is_training=is_training,
     )
-    measured, since = numbers.measured, None
+    measured, evaluated = numbers.measured, None
     has_crashes = _held_out_crashes(data)
     # earlier versions did not store the balanced error of the mean
     if measured is None or math.isnan(measured.mean_balanced_rmse_deg) or has_crashes:
-        since = _measured_since(results)
+        evaluated = _evaluated(results)
     held_out = [name for name, count in data.counts.items() if count.validation]
-    return replace(numbers.of_rows(since or measured, held_out), has_crashes=has_crashes and since is None)
+    return replace(numbers.of_rows(evaluated or measured, held_out), has_crashes=has_crashes and evaluated is None)
 
 
 def index_of_config(config: Mapping[str, Any]) -> StoredIndex:
-    """The index in a run's config.json; an empty one where it has none that a training writes."""
+    """The index in a run's config.json; an empty one if it is missing or invalid."""
     return _part(config, "data", StoredIndex)
 
 
 def _held_out_crashes(data: StoredIndex) -> bool:
-    """Whether the index was an earlier version's, which left crashes out of training alone."""
+    """True if an earlier version built the index: it left crashes out of the training, but not of the frames held
+    out."""
     return any(
         count.crashed and count.not_measured is None and data.labels.get(name, StoredLabels()).plan.without_crashes
         for name, count in data.counts.items()
@@ -208,8 +209,8 @@ def _part(config: Mapping[str, Any], name: str, kind: type[_Part]) -> _Part:
         return kind()
 
 
-def _measured_since(results: Sequence[KeptResult]) -> Measures | None:
-    """The errors on the frames held out, without crashes, as `bc-eval` has measured them."""
+def _evaluated(results: Sequence[KeptResult]) -> Measures | None:
+    """The last errors that `bc-eval` measured on the frames held out, without crashes; None without a result."""
     for kept in reversed(results):
         if kept.way == "frames" and kept.result.get("split") == "validation":
             try:

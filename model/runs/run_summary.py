@@ -1,4 +1,4 @@
-"""The summary of a run: its settings, errors and drives, in a few numbers that can be compared with other runs."""
+"""The summary of a run: settings, errors and drives in a few numbers, to compare with other runs."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ _SPLIT_SETTINGS: Final = (
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A run in short. Errors are of the frames held out after the epoch that was kept, in degrees (by
-    `assumed_deg`); NaN where there are none."""
+    """A run in short. Errors are those of the kept epoch on the frames held out, in degrees (by `assumed_deg`);
+    NaN if nothing was held out."""
 
     name: str
     folder: str
-    written_at: str = ""  # UTC, ISO 8601: its weights, or its config where it has none yet
-    problem: str = ""  # why nothing else is known of it
+    written_at: str = ""  # UTC, ISO 8601: time of the weights or, before the first ones, of the config
+    problem: str = ""  # why the run cannot be read
     network: str = ""
-    targets: list[str] = field(default_factory=list)  # that it answers, steering first
+    targets: list[str] = field(default_factory=list)  # that the network answers, steering first
     recipe: str = ""
     seed: int = 0
     sessions: list[str] = field(default_factory=list)
@@ -56,13 +56,13 @@ class RunSummary:
     mean_balanced_rmse_deg: float = math.nan
     correlation: float = math.nan
     max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
-    split: str = ""  # of its logs, by which frames are held out; networks of one were measured on the same frames
-    results: list[KeptResult] = field(default_factory=list)  # the last of each kind that its weights have given
+    split: str = ""  # identifies the frames held out; runs with the same split were measured on the same frames
+    results: list[KeptResult] = field(default_factory=list)  # of these weights, the last of each kind
     verdict: Verdict | None = None
 
     @property
     def rmse_share(self) -> float:
-        """The RMSE as a share of that of always predicting the mean: runs hold out other frames."""
+        """The RMSE divided by the RMSE of always predicting the mean, because runs hold out different frames."""
         return _share(self.rmse_deg, self.mean_rmse_deg)
 
     @property
@@ -71,22 +71,22 @@ class RunSummary:
 
     @property
     def unit(self) -> SteeringUnit:
-        """The unit in which people read its errors."""
+        """The unit in which people read the errors."""
         return steering_unit(self.max_deg)
 
     @property
     def drives(self) -> list[dict[str, Any]]:
-        """The last drive of each simulator's track at each speed, as `bc-eval --json` has it."""
+        """The last drive of each simulated track at each speed, as `bc-eval --json` prints it."""
         return [kept.result for kept in self.results if kept.way == "simulator"]
 
     @property
     def supervised(self) -> list[dict[str, Any]]:
-        """The last drive that a person supervised, of each track at each speed."""
+        """The last supervised drive of each track at each speed."""
         return [kept.result for kept in self.results if kept.way == "supervised"]
 
     @property
     def interventions_per_km(self) -> float:
-        """Over all of `drives`; without any, over those that a person supervised; NaN if it has not driven."""
+        """Over all `drives`; if there are none, over the supervised drives; NaN if the run has not driven."""
         drives = self.drives or self.supervised
         driven_m = sum(drive["distance_m"] for drive in drives)
         return 1000 * sum(drive["interventions"] for drive in drives) / driven_m if driven_m else math.nan
@@ -97,7 +97,8 @@ def _share(value: float, whole: float) -> float:
 
 
 def summarize_runs(runs: Location) -> Iterator[RunSummary]:
-    """Summaries of all runs in a folder, by name; of a run that cannot be read, its problem. Raises StoreError."""
+    """Summaries of all runs in a folder, by name; a run that cannot be read has only its problem. Raises
+    StoreError."""
     if isinstance(runs, Path):
         for config in sorted(runs.glob(f"*/{CONFIG}")):
             yield summarize_run(config.parent)
@@ -109,8 +110,8 @@ def summarize_runs(runs: Location) -> Iterator[RunSummary]:
 
 
 def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[str] = ()) -> Verdict:
-    """The verdict on a run, by the numbers that its folder holds; its errors are those `measured` on rows of
-    `sessions`, where these are given. Raises RunError if it cannot be read."""
+    """The verdict on a run, from the numbers in its folder. If `measured` is given, it judges these errors on rows
+    of `sessions`. Raises RunError if the run cannot be read."""
     run = config_folder(Path(run))
     try:
         config = load_config(run)
@@ -121,8 +122,8 @@ def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[
 
 
 def summarize_run(run: Path) -> RunSummary:
-    """The summary of a run, or of a copy of one in a store, which may lack the weights; of one that cannot be
-    read, its problem."""
+    """The summary of a run, or of a copy of a run in a store, which may lack the weights. A run that cannot be
+    read has only its problem."""
     try:
         return _summary(run)
     except Exception as error:
@@ -157,7 +158,8 @@ def _summary(run: Path) -> RunSummary:
 
 
 def _split(data: Mapping[str, Any], frames: int) -> str:
-    """A short name of the frames that are held out: the same for the same logs, split alike, and as many."""
+    """A short name of the frames held out: a hash of the logs, the settings of the split and the number of
+    frames."""
     settings = data.get("settings", {})
     logs = {name: log.get("fingerprint") for name, log in data["logs"].items()}
     described = [logs, {name: settings.get(name) for name in _SPLIT_SETTINGS}, frames]
@@ -180,8 +182,8 @@ def _errors(kept: Epoch | None) -> dict[str, Any]:
 
 
 def last_results(run: Path) -> list[KeptResult]:
-    """The last result of each track at each speed, of each recording that was driven, and of each choice of
-    recorded frames, of the weights that the run has now."""
+    """The last results of the run's present weights: one for each track and speed, for each driven recording, and
+    for each choice of recorded frames."""
     results, _ = kept_results(run)
     left = read_record(run).left.get(WEIGHTS)
     checksum = left.sha256 if left is not None else weights_checksum(run) if results else ""
@@ -190,22 +192,22 @@ def last_results(run: Path) -> list[KeptResult]:
         result = kept.result
         if kept.weights_sha256 == checksum and _is_whole(kept):
             names = ("track", "set_speed_mph", "session", "departure_m", "index", "split")
-            # whole sessions have no index: their names show what was measured
+            # results of whole sessions have no index: the sessions' names distinguish them
             last[kept.way, *(str(result.get(name)) for name in names), *measured_sessions(result)] = kept
     return list(last.values())
 
 
 def measured_sessions(result: Mapping[str, Any]) -> list[str]:
-    """The sessions whose frames were measured, where they were named (`bc-eval --session`)."""
+    """The measured sessions, if they were named (`bc-eval --session`); else empty."""
     sessions = result.get("sessions")
     return sorted(sessions) if result.get("index") is None and isinstance(sessions, dict) else []
 
 
 def _is_whole(kept: KeptResult) -> bool:
-    """Whether a drive has the numbers that are added up."""
+    """True if a drive has the numbers that sums over drives need. True for other results."""
     if kept.way not in ("simulator", "supervised"):
         return True
     names = ("distance_m", "interventions", "set_speed_mph", *(("by_person",) if kept.way == "supervised" else ()))
     numbers = [kept.result.get(name) for name in names]
-    is_known = all(isinstance(number, int | float) and 0 <= number < 1e12 for number in numbers)
-    return is_known and isinstance(kept.result.get("track"), str)
+    are_valid = all(isinstance(number, int | float) and 0 <= number < 1e12 for number in numbers)
+    return are_valid and isinstance(kept.result.get("track"), str)

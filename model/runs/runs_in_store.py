@@ -1,7 +1,7 @@
-"""Runs in a store: their listing, and copies in the user's cache, for which only new files are fetched.
+"""Runs in a store: list them, and copy them to the user's cache. Only new files are downloaded.
 
-No PyTorch is needed for it. A folder of runs there is listed in one request (for a thousand objects). Results that
-are added to a copy go up: see `send_results`.
+Needs no PyTorch. One request lists a thousand objects of a folder of runs. `send_results` uploads results that
+were added to a copy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from common.stored_folder import StoredFolder
 
 SUMMARY_FILES: Final = (CONFIG, METRICS_FILE, RESULTS_FILE)
-"""The files that a summary of a run is made of: a few kilobytes."""
+"""The files that the summary of a run needs: a few kilobytes."""
 
 ADDED_TO: Final = (RESULTS_FILE,)
 """Files of a run to which any machine adds lines."""
@@ -49,12 +49,12 @@ class RunInStore:
 
     @property
     def has_weights(self) -> bool:
-        """Whether an epoch is finished."""
+        """True if the run has finished an epoch."""
         return WEIGHTS in self.files
 
     @property
     def written_ns(self) -> int:
-        """The time at which its weights, or its config where it has none yet, were written there; since 1970."""
+        """Nanoseconds since 1970 at which the weights (or, before the first weights, the config) were written."""
         return self.files[WEIGHTS if self.has_weights else CONFIG].written_ns
 
 
@@ -72,10 +72,10 @@ def runs_in_store(runs: Url) -> list[RunInStore]:
 
 
 def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
-    """A run by its URL, or by name where `runs` is in a store; without a name, the one whose weights were written
-    last. None for a run of this machine.
+    """Find a run by URL, or by name if `runs` is in a store. Without a name: the run with the newest weights.
+    Returns None for a run on this machine.
 
-    Raises RunError, which names the runs there, if it does not exist; StoreError.
+    Raises RunError, which names the runs in the store, if the run does not exist; StoreError if the store fails.
     """
     if name is None:
         return _newest(runs) if isinstance(runs, Url) else None
@@ -93,28 +93,29 @@ def find_in_store(name: str | None, runs: Location) -> RunInStore | None:
 
 
 def bring_run(run: RunInStore, wanted: Collection[str] | None = None, progress: Progress | None = None) -> Path:
-    """A copy of a listed run in the user's cache; with `wanted`, of these files only.
-    `progress` gets a line while something is fetched. Raises StoreError."""
+    """Copy a listed run to the user's cache, or only the files `wanted`. Returns the copy's folder. `progress`
+    gets a line during the download. Raises StoreError."""
     with stored_run_folder(run.url) as folder:
         folder.download(objects=run.files.values(), wanted=wanted, progress=progress)
         return folder.local.absolute()
 
 
 def bring_summaries(runs: Url) -> Iterator[tuple[RunInStore, Path]]:
-    """All runs in a folder, by name, and copies of their `SUMMARY_FILES`: only files that have changed since the
-    last time are fetched. A bar counts the runs.
+    """All runs in a folder, by name, each with a copy of its `SUMMARY_FILES`. Only files that have changed are
+    downloaded. A bar counts the runs.
 
-    The weights are fetched too where only they show whether a run's results are theirs, because no toolkit has
-    written its record there. Raises StoreError.
+    The weights are downloaded too if the store has no checksum of them: results belong to weights by their
+    checksum. Raises StoreError.
     """
     stored_runs = runs_in_store(runs)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        brought = zip(stored_runs, pool.map(bring_summary, stored_runs), strict=True)
-        yield from track(brought, "fetching runs", len(stored_runs))
+        copies = zip(stored_runs, pool.map(bring_summary, stored_runs), strict=True)
+        yield from track(copies, "fetching runs", len(stored_runs))
 
 
 def bring_summary(run: RunInStore) -> Path:
-    """A copy of one run's `SUMMARY_FILES`, and of its weights where `bring_summaries` needs them."""
+    """Copy one run's `SUMMARY_FILES`, and its weights if `bring_summaries` needs them. Returns the copy's
+    folder."""
     copy = bring_run(run, SUMMARY_FILES)
     left = read_record(copy).left.get(WEIGHTS)
     if left is not None and not left.sha256 and RESULTS_FILE in run.files:
@@ -123,11 +124,11 @@ def bring_summary(run: RunInStore) -> Path:
 
 
 def send_results(run: Path) -> bool:
-    """Where `run` is a copy in the user's cache, add the results that were added to it to those in the store, also
-    if other machines have added some meanwhile; True if any were. Raises StoreError."""
+    """If `run` is a copy in the user's cache, add its new results to those in the store, which other machines may
+    have changed meanwhile. Returns True if it added any. Raises StoreError."""
     place = location(cached_from(run))
     if not isinstance(place, Url):
-        return False  # bc-train copies all of a run of this machine
+        return False  # bc-train copies a run on this machine as a whole
     with stored_run_folder(place) as folder:
         return folder.upload(only=(RESULTS_FILE,))
 
@@ -139,13 +140,13 @@ def stored_run_folder(url: Url, here: Path | None = None, *, waits: bool = True)
 
 
 def url_of(name: str | None, runs: Url) -> str | None:
-    """The URL of a run in `runs` that is given as NAME or NAME/last; any other argument as it is."""
+    """The URL of a run in `runs` that is given as NAME or NAME/last; other arguments unchanged."""
     first, _, rest = (name or "").partition("/")
     return f"{runs}/{name}" if is_name(first) and rest in ("", "last") else name
 
 
 def is_name(name: str) -> bool:
-    """Whether this is a run's name, and no path."""
+    """True for a run's name, False for a path."""
     is_plain = PurePosixPath(name).name == name and not set(name) & set("\\:")
     return is_plain and bool(name) and not name.startswith(".")
 

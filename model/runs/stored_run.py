@@ -1,4 +1,5 @@
-"""A run that is trained here and kept in a store: fetched to be resumed, copied back while it grows."""
+"""A run that is trained on this machine and kept in a store: download it to resume it, upload it while it
+trains."""
 
 from __future__ import annotations
 
@@ -19,20 +20,18 @@ from model.runs.runs_in_store import find_in_store, stored_run_folder
 from model.runs.training_progress import Epoch, Step
 
 _EVERY_S: Final = 60.0
-"""Time between two copies: that between two checkpoints."""
+"""Time between two copies: equal to the time between two checkpoints."""
 
 
 def bring_run_to(runs: Path, name: str) -> Path:
-    """Copy a run in a store, named by its URL, to the runs of this machine, to resume it. What this machine has
-    learnt of it and not yet copied stays. Raises RunError if there is no such run, or if another run has its name
-    here; StoreError."""
+    """Copy the run with the URL `name` to the folder `runs`, to resume it. Files that this machine has trained and
+    not yet uploaded stay. Raises RunError if the run does not exist, or if another run in `runs` has its name;
+    StoreError if the store fails."""
     stored = find_in_store(name, runs)
     assert stored is not None  # noqa: S101
     local = runs / stored.name
     if local.exists() and read_record(local).url != str(stored.url):
-        raise RunError(
-            f"{local}: exists here, but is not a copy of {stored.url}; move it away, or give another --runs"
-        )
+        raise RunError(f"{local}: exists, but is not a copy of {stored.url}; move it away, or give another --runs")
     with stored_run_folder(stored.url, local) as folder, progress_bar() as progress:
         folder.download(keeps_local=True, objects=stored.files.values(), progress=progress)
     remember_places(local, local.parent.parent, [Url(stored.url.scheme, stored.url.bucket)])
@@ -40,8 +39,8 @@ def bring_run_to(runs: Path, name: str) -> Path:
 
 
 def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
-    """The URL that a run is copied to. Raises UsageError for a place in no store, RunError where a new one's name
-    is taken there; StoreError."""
+    """The URL that a run is copied to. Raises UsageError if `to` is not in a store; RunError if the name of a new
+    run exists in the store; StoreError if the store fails."""
     if not isinstance(to, Url):
         raise UsageError(f"--copy-to {to}: a folder in a store was expected, such as s3://BUCKET/runs")
     from common.object_store import find_object  # an extra
@@ -53,7 +52,7 @@ def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
 
 
 class RunCopy:
-    """A listener that copies a run once a minute, while the training goes on."""
+    """A listener that copies a run to a store once a minute, while the training continues."""
 
     def __init__(self, run: Path, url: Url) -> None:
         self._run = run
@@ -71,7 +70,7 @@ class RunCopy:
     def close(self) -> None: ...
 
     def finish(self) -> str:
-        """Copy the files that are new since; returns the reason if that fails, else an empty string."""
+        """Copy the remaining files. Returns the reason if that fails, else an empty string."""
         self._pool.shutdown()
         try:
             self._copy()
@@ -80,12 +79,12 @@ class RunCopy:
         return ""
 
     def _copy_if_due(self) -> None:
-        is_over = self._copying is None or self._copying.done()  # a failed copy is tried again
-        if is_over and time.monotonic() - self._copied_s > _EVERY_S:
+        is_idle = self._copying is None or self._copying.done()  # a failed copy is tried again
+        if is_idle and time.monotonic() - self._copied_s > _EVERY_S:
             self._copied_s = time.monotonic()
             self._copying = self._pool.submit(self._copy)
 
     def _copy(self) -> None:
-        if (self._run / CONFIG).is_file():  # a new run that has learnt nothing is removed
+        if (self._run / CONFIG).is_file():  # a new run that has saved nothing is removed
             with stored_run_folder(self._url, self._run, waits=False) as folder:
                 folder.upload()

@@ -1,4 +1,4 @@
-"""The number of frames that a run was trained on, as far as its config records it.
+"""The number of frames that a run was trained on, from its config.
 
 A fine-tuned run was also trained on the data of the run that it started from.
 """
@@ -16,9 +16,9 @@ from dataset.frames.frames_table import is_for_training
 
 
 def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
-    """The number of frames that the run with this config was trained on; None where the config does not record it.
+    """The number of `frames` that the run with this config was trained on; None if the config does not record it.
 
-    `frames` are those of each session of `samples`, with the columns row and log_time_ns. Raises LogError for a
+    `frames` has a table for each session of `samples`, with the columns row and log_time_ns. Raises LogError for a
     damaged log.
     """
     try:
@@ -38,9 +38,9 @@ def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: d
 
 
 def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, str]]:
-    """The settings that the split of a training depends on, and fingerprints of its logs by session. Raises
-    KeyError, TypeError, ValueError, AttributeError or OverflowError for other data."""
-    # Not by `settings_from`: values of other types, and settings of other versions, do not hide what was learnt.
+    """The settings of the split of a training, and the fingerprints of its logs by session. Raises KeyError,
+    TypeError, ValueError, AttributeError or OverflowError for invalid data."""
+    # Not by `settings_from`, which would refuse the unknown settings of other versions.
     settings = stored["settings"]
     config = IndexConfig(
         block_s=float(settings["block_s"]),
@@ -51,5 +51,5 @@ def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, str]]
         drives="takeovers" if settings.get("drives") == "takeovers" else "all",
     )
     logs = {str(session): str(log["fingerprint"]) for session, log in stored["logs"].items()}
-    "".join(logs).encode()  # JSON may hold halves of characters, which no name of a log has
+    "".join(logs).encode()  # raises ValueError for lone surrogates, which JSON may hold
     return config, logs

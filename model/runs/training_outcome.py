@@ -1,4 +1,4 @@
-"""The outcome of a training, in words: what natural answers change, and why which epoch is kept."""
+"""The outcome of a training, in words: the effect of natural answers, and why an epoch is kept."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _NAMES: Final = {"driving-error": "driving error", "balanced-rmse": "balanced RM
 
 
 def error_to_keep_by(keep: Keep, measures: Measures) -> float:
-    """The error that decides which epoch is kept: the smallest. In degrees, except the driving error."""
+    """The error that is smallest in the kept epoch. In degrees, except the driving error."""
     if keep == "driving-error":
         return measures.driving_error
     return measures.balanced_rmse_deg if keep == "balanced-rmse" else measures.network.rmse_deg
 
 
 def outcome_lines(epochs: Sequence[Epoch], kept: int, keep: Keep = "balanced-rmse") -> list[str]:
-    """A line for the scale of the answers of epoch `kept`, and one if another epoch had the smaller RMSE; none if
+    """A line for the answer scale of epoch `kept`, and a line if another epoch has a smaller RMSE. Empty if
     nothing was held out."""
     best = next((epoch for epoch in epochs if epoch.epoch == kept and epoch.measures.frames), None)
     if best is None:
@@ -44,19 +44,18 @@ def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
     def rmse_deg(epoch: Epoch) -> float:
         return epoch.measures.network.rmse_deg
 
-    least = min((epoch for epoch in epochs if math.isfinite(rmse_deg(epoch))), key=rmse_deg, default=best)
-    if not rmse_deg(least) < rmse_deg(best):
+    smallest = min((epoch for epoch in epochs if math.isfinite(rmse_deg(epoch))), key=rmse_deg, default=best)
+    if not rmse_deg(smallest) < rmse_deg(best):
         return []
     shown = best.measures.unit.of
-    other = (
-        f"epoch {least.epoch:,} for its RMSE ({shown(rmse_deg(least)):.2f} against {shown(rmse_deg(best)):.2f})"
-    )
+    rmse = f"{shown(rmse_deg(smallest)):.2f} against {shown(rmse_deg(best)):.2f}"
+    other = f"epoch {smallest.epoch:,} for its RMSE ({rmse})"
     if keep == "last":
         return [f"epoch {best.epoch:,} is kept as the last one (--keep last) and not {other}"]
-    of_best, of_least = (error_to_keep_by(keep, epoch.measures) for epoch in (best, least))
+    best_error, other_error = (error_to_keep_by(keep, epoch.measures) for epoch in (best, smallest))
     if keep == "balanced-rmse":
-        of_best, of_least = shown(of_best), shown(of_least)
+        best_error, other_error = shown(best_error), shown(other_error)
     return [
-        f"epoch {best.epoch:,} is kept for its {_NAMES[keep]} ({of_best:.2f} against {of_least:.2f})"
+        f"epoch {best.epoch:,} is kept for its {_NAMES[keep]} ({best_error:.2f} against {other_error:.2f})"
         f" and not {other}, which says little about bends where most of the road is straight"
     ]

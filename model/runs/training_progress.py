@@ -1,4 +1,4 @@
-"""The progress of a training, as its listeners get it, and as it is kept in the run's files."""
+"""The progress of a training, as listeners receive it and as the run's files store it."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ class Step:
     epoch: int  # from 1
     batch: int  # from 1, of `batches`
     batches: int
-    samples: int  # learnt from since the run began, repeated ones included
-    training_loss: float  # mean squared error of steering, -1..1, and of other targets, since the step before
+    samples: int  # learnt since the run began; repeated samples count again
+    training_loss: float  # mean squared error of steering, -1..1, and of other targets, since the last Step
     samples_per_s: float
 
     @property
     def scalars(self) -> dict[str, float]:
-        """Its numbers by the names that curves have; those that exist."""
+        """The finite numbers of this step, by the names of curves."""
         return finite({"loss/steps": self.training_loss, "samples_per_s": self.samples_per_s})
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """The losses and errors of an epoch. What does not exist is NaN."""
+    """The losses and errors of an epoch. NaN where a value is missing."""
 
     epoch: int  # from 1
-    training_loss: float  # mean squared error of steering, -1..1, and of other targets, while they were learnt
-    validation_loss: float  # the same of the frames held out, afterwards
-    measures: Measures  # of those frames: centre camera, unmirrored, unaltered
-    is_best: bool  # the best one so far
+    training_loss: float  # mean squared error of steering, -1..1, and of other targets, during the epoch
+    validation_loss: float  # of the frames held out, after the epoch
+    measures: Measures  # of the frames held out: centre camera, unmirrored, unaltered
+    is_best: bool  # the best epoch so far
     seconds: float
     samples_per_s: float
-    answers: AnswerScale = field(default_factory=AnswerScale)  # that the measures are of
-    learnt: Errors | None = None  # of the answers without it; None in runs of earlier versions
-    targets: tuple[TargetErrors, ...] = ()  # of those besides steering
-    learnt_driving_error: float = math.nan  # of the answers without it; earlier versions have none
+    answers: AnswerScale = field(default_factory=AnswerScale)  # applied before measuring
+    learnt: Errors | None = None  # of the answers without the scale; None in runs of earlier versions
+    targets: tuple[TargetErrors, ...] = ()  # of the targets other than steering
+    learnt_driving_error: float = math.nan  # of the answers without the scale; NaN in earlier versions
 
     @property
     def scalars(self) -> dict[str, float]:
-        """Its losses and errors by the names that curves have, such as "rmse_deg/network"; those that exist."""
+        """The finite losses and errors of this epoch, by the names of curves, for example "rmse_deg/network"."""
         measures = self.measures
         values = {
             "epoch": float(self.epoch),
@@ -92,17 +92,18 @@ class Epoch:
 
 
 class Listener(Protocol):
-    """Called with the progress of a training, which waits for it. An exception does not end the training: see
-    `model.training.listeners`."""
+    """Receives the progress of a training. The training waits for it; its exceptions do not end the training (see
+    `model.training.listeners`)."""
 
     def step(self, step: Step) -> object:
-        """Every ten batches."""
+        """Called every ten batches."""
 
     def epoch(self, epoch: Epoch) -> object:
-        """After each epoch, once its frames held out are measured and, if it is the best one, its weights kept."""
+        """Called after each epoch, when the frames held out are measured and the weights of a best epoch are
+        saved."""
 
     def close(self) -> object:
-        """At the end, however the training ends."""
+        """Called when the training ends, also by an error."""
 
 
 def finite(numbers: Mapping[str, float]) -> dict[str, float]:

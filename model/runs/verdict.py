@@ -1,4 +1,5 @@
-"""The verdict on a network: how it compares with knowing nothing, and the one thing most likely to help.
+"""The verdict on a network: its errors compared with always predicting the mean, and the advice most likely to
+help.
 
 from model import judge
 print(*judge("runs/first").lines, sep="\\n")
@@ -19,14 +20,14 @@ from model.runs.run_numbers import RunNumbers
 OF_THE_MEAN: Final = 2.0
 """The driving error of always predicting the mean."""
 FEW_FRAMES: Final = 300
-"""Half a minute at ten frames a second: six stretches of 5 s, within which errors are alike. Of fewer, an interval
-is a guess (`model.evaluation.differences`)."""
+"""Half a minute at ten frames a second: six blocks of 5 s, within which errors are alike. Fewer blocks give no
+reliable interval (`model.evaluation.differences`)."""
 _UNKNOWN: Final = Drivable(None, "")
 
 
 @dataclass(frozen=True)
-class BesideTheMean:
-    """An error of a network, compared with that of always predicting the mean of the same rows."""
+class ComparedError:
+    """An error of a network, and the error of always predicting the mean of the same rows."""
 
     name: str
     network: float
@@ -35,7 +36,7 @@ class BesideTheMean:
 
     @property
     def ratio(self) -> float:
-        """Below 1, the network is better."""
+        """The network's error divided by the mean's: below 1, the network is better."""
         return self.network / self.mean if self.mean else math.nan
 
     def __str__(self) -> str:
@@ -44,24 +45,24 @@ class BesideTheMean:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How good a network is, by its errors on rows that it has not learnt, and what to do next."""
+    """How good a network is, from its errors on rows held out, and what to do next."""
 
-    beside_mean: tuple[BesideTheMean, ...]  # on turns, driving error, RMSE: those that are known
+    beside_mean: tuple[ComparedError, ...]  # on turns, driving error, RMSE; without unknown ones
     drivable: Drivable
     advice: Advice
-    driven: str = ""  # how it has driven, where it has: that goes before what its errors foretell
-    interventions: int | None = None  # in these drives
-    has_crashes: bool = False  # among these rows, perhaps
+    driven: str = ""  # how the network drove; takes precedence over the prediction from its errors
+    interventions: int | None = None  # in these drives; None without a drive
+    has_crashes: bool = False  # the rows may include crashes
     frames: int = FEW_FRAMES  # that were measured
 
     @property
     def is_no_better(self) -> bool:
-        """Whether always predicting the mean is as good in any of them."""
+        """True if one of the errors is no better than always predicting the mean."""
         return any(not error.ratio < 1 for error in self.beside_mean)
 
     @property
     def in_short(self) -> str:
-        """In a word or two, for a table."""
+        """The verdict in one to three words, for a table."""
         if not self.beside_mean:
             return "-"
         if self.is_no_better:
@@ -79,16 +80,15 @@ class Verdict:
     def summary(self) -> str:
         if not self.beside_mean:
             return f"nothing was held out, so how good it is is unknown{self.driven and f'; {self.driven}'}"
-        *words, rmse = self.beside_mean
-        worse, better = (
-            [error for error in self.beside_mean if (error.ratio < 1) == is_so] for is_so in (False, True)
-        )
+        *before_rmse, rmse = self.beside_mean
+        worse = [error for error in self.beside_mean if not error.ratio < 1]
+        better = [error for error in self.beside_mean if error.ratio < 1]
         parts = [f"no better than always predicting the mean: {_joined(worse)}"] if worse else []
-        shown = better if worse else words or [rmse]
+        shown = better if worse else before_rmse or [rmse]
         if shown:
             parts.append(f"better than {'it' if worse else 'always predicting the mean'}: {_joined(shown)}")
         if self.frames < FEW_FRAMES:
-            parts.append(f"only {counted(self.frames, 'frame')} measured, so these errors are unsure")
+            parts.append(f"only {counted(self.frames, 'frame')} measured, so these errors are uncertain")
         crashes = ["crashes were held out, too: `bc-eval` measures without them"] * self.has_crashes
         return "; ".join([*parts, self.driven or self._to_drive(), *crashes])
 
@@ -102,9 +102,9 @@ class Verdict:
 
 
 def verdict_of(numbers: RunNumbers) -> Verdict:
-    """The verdict on a run, by its numbers."""
+    """The verdict on a run, from its numbers."""
     measured = numbers.measured
-    errors = () if measured is None else _beside_the_mean(measured)
+    errors = () if measured is None else _compared_with_mean(measured)
     is_known = any(error.name == "driving error" for error in errors)
     judged = (
         drivable(measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen)
@@ -120,18 +120,19 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     return Verdict(errors, judged, advice(numbers), driven, interventions, numbers.has_crashes, frames)
 
 
-def _beside_the_mean(measured: Measures) -> tuple[BesideTheMean, ...]:
-    """Those that are known: there may be no turns, and earlier versions kept no balanced error of the mean."""
+def _compared_with_mean(measured: Measures) -> tuple[ComparedError, ...]:
+    """The errors that are known. There may be no turns, and earlier versions stored no balanced error of the
+    mean."""
     network, mean = measured.network, measured.mean
     unit = measured.unit
     name = f" {unit.name}"
     turns = (unit.of(network.turning_mae_deg), unit.of(mean.turning_mae_deg))
-    pairs = [BesideTheMean("on turns", *turns, name)]
+    pairs = [ComparedError("on turns", *turns, name)]
     if measured.mean_balanced_rmse_deg > 0:
-        pairs.append(BesideTheMean("driving error", measured.driving_error, OF_THE_MEAN))
-    pairs.append(BesideTheMean("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
+        pairs.append(ComparedError("driving error", measured.driving_error, OF_THE_MEAN))
+    pairs.append(ComparedError("RMSE", unit.of(network.rmse_deg), unit.of(mean.rmse_deg), name))
     return tuple(error for error in pairs if error.mean > 0)
 
 
-def _joined(errors: list[BesideTheMean]) -> str:
+def _joined(errors: list[ComparedError]) -> str:
     return ", ".join(map(str, errors))

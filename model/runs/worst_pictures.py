@@ -1,7 +1,7 @@
-"""The frames at which a network is off the most; those held out, after an epoch, with their pictures.
+"""The frames with the largest errors of a network: after each epoch, of the frames held out, with their pictures.
 
-runs/NAME/worst.jsonl   one line of JSON an epoch (of very long trainings, the last ones), with pictures in base64:
-                        to be looked at without the index
+runs/NAME/worst.jsonl   one line of JSON an epoch (in very long trainings, the last ones). Pictures are in base64,
+                        so that they can be shown without the index.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 WORST_FILE: Final = "worst.jsonl"
 """One line an epoch: `WorstPictures.as_dict`."""
 MAX_WORST_BYTES: Final = 32 << 20
-"""Size limit of that file: some 500 epochs. Of longer trainings, the last ones are kept."""
+"""Size limit of worst.jsonl: some 500 epochs. A longer training keeps its last ones."""
 WORST_COUNT: Final = 6
 WORST_COLUMNS: Final = ("session", "row", "log_time_ns")
-"""Columns that must be known of the frames held out."""
+"""Columns that the table of the frames held out must have."""
 
 _QUALITY: Final = 90  # of the JPEGs, some 7 KB each
 _APART_NS: Final = 1_000_000_000
@@ -56,7 +56,7 @@ class WorstFrame:
 
 @dataclass(frozen=True)
 class WorstPictures:
-    """The worst frames after an epoch, the worst first, and for each the crop that the network saw, as a JPEG."""
+    """The worst frames after an epoch, the worst first, and the crop that the network saw of each, as a JPEG."""
 
     epoch: int  # from 1
     frames: tuple[WorstFrame, ...]
@@ -80,12 +80,12 @@ def find_worst(
     recorded: NDArray[np.float64],
     max_deg: float | None = MAX_STEERING_DEG,
 ) -> WorstPictures:
-    """The worst of the frames that a network was measured on.
+    """The frames with the largest errors among those that a network was measured on.
 
-    `measured` has `WORST_COLUMNS` for each sample of `loader`; the steering arrays (N,) are of those that decode;
-    `max_deg` is the wheels' angle at steering 1, None if it is unknown.
+    `measured` has `WORST_COLUMNS` for each sample of `loader`. The steering arrays (N,) have the samples whose
+    pictures decode. `max_deg` is the wheels' angle at steering 1, None if unknown.
     """
-    import pyarrow as pa  # here: `bc-runs` starts without it
+    import pyarrow as pa  # imported late: `bc-runs` starts without it
 
     from dataset.preprocessing import as_bgr
 
@@ -117,13 +117,13 @@ def _jpeg(crop: Image) -> bytes:
 
 
 def worst_frames(frames: pa.Table, count: int, max_deg: float | None = MAX_STEERING_DEG) -> list[WorstFrame]:
-    """The `count` frames with the largest errors, the largest first; those of a session at least a second apart,
-    so that they are different moments. `frames` has the columns of `Evaluation.frames`. `max_deg` is the
+    """The `count` frames with the largest errors, the largest first. Frames of a session are at least a second
+    apart, so that they show different moments. `frames` has the columns of `Evaluation.frames`. `max_deg` is the
     wheels' angle at steering 1."""
     session = frames["session"].combine_chunks().dictionary_encode().indices.to_numpy()
     columns = ("log_time_ns", "row", "predicted", "recorded")
     time_ns, row, predicted, recorded = (frames[name].to_numpy() for name in columns)
-    taken: dict[tuple[int, int], int] = {}  # times, by session and whole second
+    taken: dict[tuple[int, int], int] = {}  # chosen log times in ns, by session and whole second
     worst: list[WorstFrame] = []
     for at in np.argsort(-np.abs(predicted - recorded), kind="stable").tolist():
         if len(worst) == count:

@@ -1,1 +1,1 @@
-"""Training: the loop and its steps, resuming, and curves for TensorBoard."""
+"""Training: the loop, its steps, how it resumes, and curves for TensorBoard."""

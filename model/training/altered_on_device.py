@@ -1,6 +1,6 @@
-"""The alterations of an epoch as tensor operations, for pictures that lie on a device.
+"""The alterations of an epoch as tensor operations, for pictures on a device.
 
-The pixels are those of `EpochAlterations.alter`, but for rounding.
+The pixels equal those of `EpochAlterations.alter`, except for rounding.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataset.epoch_alterations import NOISE_LEVEL, Drawn, noise_of
 
 
 class AlteredOnDevice:
-    """What is done to the pictures (N, height, width, 3) of an epoch, all of it on their device."""
+    """Alters the pictures (N, height, width, 3) of an epoch on their device."""
 
     def __init__(self, drawn: Drawn, height: int, width: int, device: torch.device) -> None:
         def sent(values: Any) -> Tensor:
@@ -36,7 +36,7 @@ class AlteredOnDevice:
             self._pieces = torch.from_numpy(noise_of(size)).to(device).unfold(0, size, 1)  # a view
 
     def pictures(self, pictures: Tensor, start: int) -> Tensor:
-        """BGR pictures (N, height, width, 3) uint8, from the epoch's sample `start` on, as they are altered."""
+        """The altered BGR pictures (N, height, width, 3) uint8; the first is the epoch's sample `start`."""
         part = slice(start, start + len(pictures))
         height, width = self._size
         altered = pictures.permute(0, 3, 1, 2).float()
@@ -66,7 +66,7 @@ class AlteredOnDevice:
 
 
 def _theta(matrix: Any, height: int, width: int) -> Any:
-    """The matrices (N, 2, 3) in px as PyTorch has them: from -1 to 1 between the outer edges of the pixels."""
+    """Convert matrices (N, 2, 3) in px to PyTorch's coordinates: -1 to 1 between the outer edges of the pixels."""
     to_px = np.array([[width / 2, 0, (width - 1) / 2], [0, height / 2, (height - 1) / 2], [0, 0, 1]])
     size = np.array([width, height])
     theta = (matrix @ to_px) * (2 / size)[:, None]

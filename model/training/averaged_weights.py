@@ -1,8 +1,8 @@
-"""The running mean of a network's weights over its last steps, which is measured, kept, and drives.
+"""The running mean of a network's weights over its last steps. The mean is measured and kept, and drives.
 
-Each step of Adam goes where the labels of its batch pull; the mean of many steps is what they agree on. Polyak and
-Juditsky 1992, "Acceleration of stochastic approximation by averaging"; as an exponential mean in Tarvainen and
-Valpola 2017 (arXiv 1703.01780).
+Each step of Adam follows the noise of its batch; the mean of many steps reduces this noise. Polyak and Juditsky
+1992, "Acceleration of stochastic approximation by averaging"; as an exponential mean in Tarvainen and Valpola 2017
+(arXiv 1703.01780).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from model.network.picture_network import PictureNetwork
 
 _FIRST_STEPS: Final = 10
-"""In the beginning the mean goes over a share of the steps taken, so that random weights are soon forgotten:
-after N steps over 1 + N / 10 of them."""
+"""At first the mean is over fewer steps, so that the random initial weights are soon forgotten: after N steps,
+over 1 + N / 10 of them."""
 
 
 class AveragedWeights:
-    """A second network whose weights are the exponential mean of another one's over about `steps` steps.
+    """A second network, whose weights are the exponential mean of the first one's over about `steps` steps.
 
-    With one step, it is that other network itself.
+    With one step, it is the first network itself.
     """
 
     def __init__(self, network: PictureNetwork, steps: int) -> None:
@@ -36,10 +36,10 @@ class AveragedWeights:
         self.network.load_state_dict(network.state_dict())
 
     def update(self, network: PictureNetwork, steps_taken: int) -> None:
-        """Take in the weights after so many steps, 1 after the first."""
+        """Add the weights of `network` to the mean. `steps_taken` counts from 1, after the first step."""
         if self.network is not network:
             keep = 1 - max(1 / self._steps, 1 / (1 + steps_taken / _FIRST_STEPS))
             update = get_ema_multi_avg_fn(keep)  # type: ignore[no-untyped-call]
             update(list(self.network.parameters()), list(network.parameters()), steps_taken)
             for mean, latest in zip(self.network.buffers(), network.buffers(), strict=True):
-                mean.copy_(latest)  # of a batch normalisation, which are means already
+                mean.copy_(latest)  # buffers of a batch normalisation are already means

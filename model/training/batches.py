@@ -1,8 +1,9 @@
-"""Batches on the device that trains, from wherever the pictures are kept.
+"""Batches on the device that trains.
 
-On a CPU they come straight out of the loader. On a GPU all crops lie in its memory, if they fit into half of what
-is free: decoding and altering, the slowest part, is then done once. If they do not fit, each batch is copied while
-the one before it is learnt. All give the same samples in the same order, so that a GPU learns what a CPU would.
+On a CPU, batches come directly from the loader. On a GPU, all crops are kept in its memory if they fit into half
+of the free memory: then each picture, the slowest part, is decoded only once. If they do not fit, each batch is
+copied while the one before is learnt. All three give the same samples in the same order, so a GPU learns the same
+as a CPU.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ Advance = Callable[[int], object]
 
 
 class Batches(Protocol):
-    """The batches of a loader, brought to a device."""
+    """The batches of a loader on a device."""
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         """The batches of an epoch from `start_batch` on: pictures (N, 3, height, width) uint8 in channels_last
-        memory, and labels (N,) or (N, K) float32, both on the device. Any may be smaller than the others, or
+        memory, and labels (N,) or (N, K) float32, both on the device. A batch may be smaller than others, or
         empty."""
 
 
@@ -37,14 +38,14 @@ def make_batches(
 ) -> Batches:
     """The batches of a loader on a device.
 
-    `budget_bytes` of a GPU's memory may be taken for crops; without it, half of what is free. `advance` is called
-    with the number of `loader.pictures` read since the last call; those that do not decode are not counted.
-    Raises DatasetError or LogError where the index or a log is damaged.
+    Crops may take `budget_bytes` of a GPU's memory; by default, half of the free memory. `advance` is called with
+    the number of pictures read since the last call, without those that do not decode. Raises DatasetError or
+    LogError if the index or a log is damaged.
     """
     if device.type == "cpu":
         return HostBatches(loader)
     if loader.alterations is not None and loader.seen.channels != "BGR":
-        return PinnedBatches(loader, device)  # alterations are of BGR
+        return PinnedBatches(loader, device)  # the device alters only BGR
     budget = _free_bytes(device) // 2 if budget_bytes is None else budget_bytes
     if needed_bytes(loader) <= budget:
         return DeviceBatches(loader, device, advance)
@@ -52,12 +53,12 @@ def make_batches(
 
 
 def needed_bytes(loader: Loader) -> int:
-    """Memory that all crops of a loader take on a device, with the order and the labels of an epoch."""
+    """Bytes on a device for all crops of a loader, and for the order and the labels of an epoch."""
     return count_crops(loader.rows) * loader.seen.size_bytes + len(loader) * 16
 
 
 class HostBatches:
-    """The loader's own memory, nothing copied."""
+    """Batches in the loader's own memory, without a copy."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader
@@ -68,7 +69,7 @@ class HostBatches:
 
 
 class PinnedBatches:
-    """Each batch is copied to the device while the one before it is learnt; nothing else is kept there."""
+    """Copies each batch to the device while the one before is learnt, and keeps nothing else on the device."""
 
     def __init__(self, loader: Loader, device: torch.device) -> None:
         self._loader = loader
@@ -95,8 +96,8 @@ class _Copy:
     def __init__(self, batch: Batch, device: torch.device, stream: torch.cuda.Stream | None) -> None:
         pictures, labels = as_input(batch.pictures), torch.from_numpy(batch.labels)
         self._event: torch.cuda.Event | None = None
-        # Only out of pinned memory does a GPU copy by itself. PyTorch keeps that memory, though its tensors are
-        # gone after this, until the stream that reads it has passed the copy.
+        # Only copies from pinned memory are asynchronous. PyTorch keeps that memory until the stream has finished
+        # the copy, although its tensors are deleted before.
         if stream is not None:
             pictures, labels = pictures.pin_memory(), labels.pin_memory()
         with torch.cuda.stream(stream):  # without a stream, this does nothing
@@ -114,10 +115,10 @@ class _Copy:
 
 
 class DeviceBatches:
-    """Every crop, altered or not, lies on the device, once; a batch is picked out of them, and mirrored there."""
+    """Keeps every crop on the device once, and picks, mirrors and alters the batches on the device."""
 
     def __init__(self, loader: Loader, device: torch.device, advance: Advance = lambda pictures: None) -> None:
-        """Reads all pictures. Raises DatasetError or LogError where the index or a log is damaged."""
+        """Reads all pictures. Raises DatasetError or LogError if the index or a log is damaged."""
         self._loader = loader
         self._device = device
         rows = loader.rows
@@ -137,7 +138,7 @@ class DeviceBatches:
         return self._epoch(epoch, parts)
 
     def _epoch(self, epoch: int, parts: list[NDArray[np.int64]]) -> Iterator[tuple[Tensor, Tensor]]:
-        # All that the epoch needs is sent at once: a copy in its middle would make the host wait for the GPU.
+        # Send all data of the epoch at once: a copy in its middle would make the host wait for the GPU.
         samples = np.concatenate([*parts, np.zeros(0, np.int64)])
         columns = self._crop[samples], self._flip[samples], self._loader.labels(samples, epoch)
         crop, flip, labels = (torch.from_numpy(column).to(self._device) for column in columns)
@@ -156,5 +157,5 @@ class DeviceBatches:
 
 
 def _free_bytes(device: torch.device) -> int:
-    """Free memory of a device; 0 where it is unknown."""
+    """Free memory of a device in bytes; 0 if unknown."""
     return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else 0

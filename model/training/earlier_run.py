@@ -1,4 +1,4 @@
-"""What a training takes from an earlier run: the weights of the same network, or everything, to resume it."""
+"""Checks of an earlier run from which a training starts (`--init`) or which it resumes (`--resume`)."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, WEIGHTS, config_folder, load_config
 
 MAY_CHANGE: Final = ("epochs", "patience", "device", "threads", "picture_memory_mb")
-"""Settings that a resumed run may be given anew."""
+"""Settings that may change when a run is resumed."""
 
 
 def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | None) -> TrainConfig:
-    """The settings that a run with the config.json `stored` goes on with: `config`, or those it had.
+    """The settings with which a run with the config.json `stored` continues: `config`, by default its own.
 
-    Raises RunError if `config` changes what may not change.
+    Raises RunError if `config` changes a setting that may not change.
     """
     before = training_of(stored, run)
     if before.targets != (answered := stored_targets(stored, run)):
         raise RunError(
-            f"{run / CONFIG}: its network answers {' '.join(answered)}, its training settings are of"
+            f"{run / CONFIG}: its network answers {' '.join(answered)}, but its training settings are for"
             f" {' '.join(before.targets)}; copy it again, or train the run again"
         )
     if config is None:
@@ -40,11 +40,11 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
     wanted = asdict(config)
     for name, value in asdict(before).items():
         if name == "network" and is_own(value) and is_own(wanted[name]):
-            continue  # its file may lie elsewhere; `choice_of` has found it to be the same
+            continue  # the file may have moved; `choice_of` checks that its content is the same
         if name not in MAY_CHANGE and wanted[name] != value:
             flag = f"--{name.replace('_', '-')}"
             raise RunError(
-                f"{run}: was begun with {flag} {value} and can continue only so; for {flag} {wanted[name]} train"
+                f"{run}: began with {flag} {value} and must continue with it; for {flag} {wanted[name]} train"
                 f" another run from its weights: --init {run_argument(run)}"
             )
     return config
@@ -54,27 +54,25 @@ def refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) ->
     """Raise RunError if these are not the samples that the run was trained on."""
     if not is_trained_on(stored, run, samples):
         has_weights = (run / WEIGHTS).exists()
-        of_its_weights = (
-            f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
-        )
+        or_init = f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
         raise RunError(
             f"{samples.path}: not the samples that {run} was trained on; `bc-train --resume {run_argument(run)}"
-            f" --index {shlex.quote(f'{samples.path.parent}-{run.name}')}` builds those again{of_its_weights}"
+            f" --index {shlex.quote(f'{samples.path.parent}-{run.name}')}` rebuilds its samples{or_init}"
         )
 
 
 def arithmetic_remarks(run: Path, stored: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """A remark if the machine settings `now` are not those that the run was begun with."""
+    """A remark if the machine settings `now` differ from those with which the run began."""
     before = stored.get("machine")
     before = before if isinstance(before, dict) else {}
     changed = [f"{name} {before.get(name)} to {now[name]}" for name in now if before.get(name) != now[name]]
     if not changed:
         return []
-    return [f"{run}: goes on with other arithmetic ({', '.join(changed)}): the weights will differ"]
+    return [f"{run}: continues with other arithmetic ({', '.join(changed)}): the weights will differ"]
 
 
 def resumed_config(stored: dict[str, Any], now: dict[str, Any]) -> dict[str, Any]:
-    """The config.json of a resumed run: the settings of its start, and those of its continuation."""
+    """The config.json of a resumed run: the settings of its start and of each continuation."""
     before = stored.get("resumed")
     return {
         **stored,

@@ -1,5 +1,5 @@
-"""The listeners to a training's progress. None of them can end it: one that fails is dropped, with a notice at
-once and when the training is over."""
+"""The listeners to a training's progress. A listener that fails does not end the training: it is dropped, with a
+notice at once and at the end of the training."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _LOGGER: Final = logging.getLogger(__name__)
 
 
 class Listeners:
-    """Passes steps and epochs on to each."""
+    """Passes steps and epochs to all listeners."""
 
     def __init__(self, listeners: Sequence[Listener], notices: list[str]) -> None:
-        """A line is added to `notices` for each that fails."""
+        """For each listener that fails, a line is added to `notices`."""
         self._listening = list(listeners)
         self._notices = notices
 
@@ -29,14 +29,14 @@ class Listeners:
         self._call_each(lambda listener: listener.epoch(epoch))
 
     def close(self) -> None:
-        """Close all that still listen; those that failed were closed then."""
+        """Close all remaining listeners. Failed ones are already closed."""
         self._call_each(_close)
 
     def _call_each(self, method: Callable[[Listener], object]) -> None:
         for listener in list(self._listening):
             if error := _error_of(method, listener):
                 self._listening.remove(listener)
-                _error_of(_close, listener)  # whatever it can still write; why it failed is known
+                _error_of(_close, listener)  # it may still save data; a second error is ignored
                 why = str(error) if isinstance(error, UserError) else in_one_line(error)
                 line = f"{type(listener).__name__} receives nothing more of this training: {why}"
                 self._notices.append(line)

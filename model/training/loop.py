@@ -1,4 +1,4 @@
-"""The training loop: epochs of batches, a validation after each, and checkpoints so that nothing is lost."""
+"""The training loop: epochs of batches, a validation after each epoch, and checkpoints."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ from model.training.validation import Validation
 STEP_BATCHES: Final = 10
 """Batches between two lines of steps.jsonl."""
 MAX_EPOCH_STEPS: Final = 10_000
-"""Lines of an epoch in steps.jsonl: in a larger epoch, more batches are between two. Readers refuse a file of more
-than 64 MiB, which would be two epochs of a billion samples."""
+"""Maximum lines of an epoch in steps.jsonl: in larger epochs, more batches are between two lines. Readers refuse a
+file above 64 MiB, which two epochs of a billion samples would reach."""
 CHECKPOINT_S: Final = 60.0
-"""The most that a kill costs; each checkpoint is 60 MB and takes a fraction of a second."""
+"""A kill loses no more than this time. A checkpoint is 60 MB and takes a fraction of a second."""
 
 
 class TrainingLoop:
@@ -85,7 +85,7 @@ class TrainingLoop:
                 f"{samples.path}: no training samples in it; record more, or give bc-index a smaller"
                 " --validation-share or --gap-s"
             )
-        with progress_task(bar, "reading pictures", loader.pictures) as advance:  # at once, where a GPU keeps them
+        with progress_task(bar, "reading pictures", loader.pictures) as advance:  # only if a GPU keeps them
             self.batches = make_batches(loader, machine.device, advance=advance)
         kept_bytes = loader.pictures * picture.size_bytes if machine.device.type == "cpu" else 0
         left_bytes = max(0, budget_bytes - kept_bytes)
@@ -97,7 +97,7 @@ class TrainingLoop:
                 machine.micro_batch,
                 config.threads,
                 picture,
-                keeps_pictures=machine.device.type != "cpu",  # whose epochs are as short as the decoding
+                keeps_pictures=machine.device.type != "cpu",  # on a GPU, decoding would take as long as an epoch
             )
             if config.answers == "natural"
             else None
@@ -114,16 +114,16 @@ class TrainingLoop:
         self._saved_s = time.monotonic()
 
     def start_from(self, init: Path) -> None:
-        """Take the weights of another run of the same network."""
+        """Load the weights of another run of the same network."""
         load_weights(init, self.network)
 
     def begin(self) -> None:
-        """Save the start of a new training: from there a run that is killed early goes on."""
+        """Save the start of a new training, so that a run that is killed early can continue."""
         self.averaged.begin(self.network)
         save_checkpoint(self.run, self.network, self.averaged.network, self.optimizer, self.position)
 
     def resume(self) -> None:
-        """Go to where the run was stopped. Raises RunError if its checkpoint cannot be used."""
+        """Load the position at which the run was stopped. Raises RunError if the checkpoint cannot be used."""
         path = checkpoint_path(self.run)
         self.position = load_checkpoint(self.run, self.network, self.averaged.network, self.optimizer)
         begun = self.position.epoch if self.position.batch else self.position.epoch - 1
@@ -132,7 +132,7 @@ class TrainingLoop:
             raise RunError(f"{self.run}: has learnt from {learnt}, not {self.config.epochs:,}; give more --epochs")
         if self.position.batch > self.loader.batches:
             raise RunError(
-                f"{path}: stands at batch {self.position.batch:,}, but an epoch has {self.loader.batches:,};"
+                f"{path}: is at batch {self.position.batch:,}, but an epoch has {self.loader.batches:,};"
                 " train another run, perhaps from its weights: --init"
             )
         position = self.position
@@ -140,23 +140,23 @@ class TrainingLoop:
         self.cut_history()
 
     def cut_history(self) -> None:
-        """Remove from the run's files what comes after the loop's position."""
+        """Remove all lines after the loop's position from the run's files."""
         self.writer.cut_history(self.position, self._samples_learnt())
 
     @property
     def is_stopped_early(self) -> bool:
-        """Whether there were more epochs, but no more patience."""
+        """True if epochs are left, but the patience is used up."""
         patience, position = self.config.patience, self.position
         is_out_of_patience = position.best_epoch and position.epoch - 1 - position.best_epoch >= patience > 0
         return bool(is_out_of_patience and position.epoch <= self.config.epochs)
 
     @property
     def is_over(self) -> bool:
-        """Whether no epoch is left to learn."""
+        """True if no epoch is left to learn."""
         return self.position.epoch > self.config.epochs or self.is_stopped_early
 
     def train(self, stopped: threading.Event) -> None:
-        """Train all epochs that are left. Saves the run and raises KeyboardInterrupt once `stopped`."""
+        """Train all remaining epochs. When `stopped` is set, save the run and raise KeyboardInterrupt."""
         try:
             while not self.is_over:
                 self._train_epoch(stopped)
@@ -164,7 +164,7 @@ class TrainingLoop:
                 if self.is_over or self._is_checkpoint_due():
                     self._save()
         finally:
-            self.writer.save_best()  # also if the epochs after it diverge
+            self.writer.save_best()  # also if a later epoch diverges
 
     def _train_epoch(self, stopped: threading.Event) -> None:
         start, loader = self.position, self.loader
@@ -175,13 +175,13 @@ class TrainingLoop:
         name, note = f"training (epoch {start.epoch:,}/{self.config.epochs:,})", ""
         total = len(loader) * self.config.epochs
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
-            of_epoch = self.batches.epoch(start.epoch, start.batch)
-            for batch, (pictures, labels) in enumerate(of_epoch, start.batch + 1):
+            batches = self.batches.epoch(start.epoch, start.batch)
+            for batch, (pictures, labels) in enumerate(batches, start.batch + 1):
                 sums.add(self._train_batch(batch, pictures, labels), len(labels))
                 self.position = replace(start, batch=batch)
                 if batch % interval == 0 or batch == loader.batches:
                     loss, count = sums.take_unreported()
-                    now_s = time.perf_counter()  # after what has waited for the GPU
+                    now_s = time.perf_counter()  # after `take_unreported`, which waits for the GPU
                     if count:
                         note = self._report(loss, count, now_s - reported_s)
                     reported_s = now_s
@@ -196,7 +196,7 @@ class TrainingLoop:
         self._take_sums(sums, begun_s)
 
     def _train_batch(self, batch: int, pictures: Tensor, labels: Tensor) -> Tensor:
-        """The squared error, summed over the batch with this number, from 1."""
+        """Learn the batch with the number `batch`, from 1. Returns the sum of its squared errors."""
         config = self.config
         torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch))
         squared_error = training_step(
@@ -213,7 +213,7 @@ class TrainingLoop:
         return squared_error
 
     def _report(self, squared_error: float, samples: int, seconds: float) -> str:
-        """Write a step, and pass it to the listeners; returns the note for the progress bar."""
+        """Write a step and pass it to the listeners. Returns the note for the progress bar."""
         if not math.isfinite(squared_error):
             raise self._diverged()
         position = self.position
@@ -237,7 +237,7 @@ class TrainingLoop:
         )
 
     def _validate(self) -> tuple[int, float]:
-        """Measure the network after an epoch, and report it; the best epoch by now, and its error."""
+        """Measure the network after an epoch and report it. Returns the best epoch so far and its error."""
         position = self.position
         with progress_task(self.bar, f"validation {position.epoch}", len(self.validation)) as advance:
             learnt, recorded = predict(self.averaged.network, self.validation.loader, advance)
@@ -258,7 +258,7 @@ class TrainingLoop:
         return position.best_epoch, position.best_error
 
     def _take_sums(self, sums: _EpochSums, begun_s: float) -> None:
-        """Bring the sums of the epoch, and the time since `begun_s`, into the position."""
+        """Store the sums of the epoch, and the time since `begun_s`, in the position."""
         squared_error = float(sums.squared_error)
         if not math.isfinite(squared_error):
             raise self._diverged()
@@ -272,7 +272,7 @@ class TrainingLoop:
         )
 
     def _save(self) -> None:
-        """Save everything up to this moment. Raises RunError if the weights are not finite."""
+        """Save the checkpoint and the best weights. Raises RunError if the weights are not finite."""
         if not self._is_finite():
             raise self._diverged()
         self.writer.save(self.network, self.averaged.network, self.optimizer, self.position)
@@ -282,7 +282,7 @@ class TrainingLoop:
         return time.monotonic() - self._saved_s > CHECKPOINT_S
 
     def _samples_learnt(self) -> int:
-        """Samples learnt from since the run began, repeated ones included."""
+        """Samples learnt since the run began; repeated samples count again."""
         position, epoch = self.position, len(self.loader)
         return (position.epoch - 1) * epoch + min(position.batch * self.config.batch, epoch)
 
@@ -291,9 +291,9 @@ class TrainingLoop:
 
     def _diverged(self) -> RunError:
         kept = (
-            f"the best epoch before it is kept: `bc-train --init {run_argument(self.run)}`"
+            f"the best earlier epoch is kept: `bc-train --init {run_argument(self.run)}`"
             if self.writer.has_best
-            else "train anew"
+            else "train again"
         )
         epoch, rate = self.position.epoch, self.config.rate
         return RunError(
@@ -303,7 +303,7 @@ class TrainingLoop:
 
 
 class _EpochSums:
-    """Sums over the samples learnt from in an epoch, and the part that is in steps.jsonl."""
+    """Sums over the learnt samples of an epoch, and their part that is in steps.jsonl."""
 
     def __init__(self, start: Position, device: torch.device) -> None:
         self.squared_error = torch.tensor(start.squared_error, dtype=torch.float64, device=device)
@@ -316,7 +316,7 @@ class _EpochSums:
         self.samples += samples
 
     def take_unreported(self) -> tuple[float, int]:
-        """Squared error and number of the samples since the last call: they count as reported from now on."""
+        """The squared error and the number of the samples since the last call."""
         squared_error = float(self.squared_error)
         unreported = squared_error - self.reported_squared_error, self.samples - self.reported_samples
         self.reported_squared_error, self.reported_samples = squared_error, self.samples
@@ -324,5 +324,5 @@ class _EpochSums:
 
 
 def _dropout_seed(seed: int, epoch: int, batch: int) -> int:
-    # the 0 keeps the numbers of earlier versions, for seeds of 2**32 and more
+    # the 0 gives the same seeds as earlier versions, for seeds of 2**32 and more
     return int(np.random.SeedSequence((seed, epoch, batch, 0)).generate_state(1, np.uint64)[0])

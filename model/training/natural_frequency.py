@@ -1,6 +1,6 @@
-"""Training frames nearly as often as they come on the road, by which the answer scale is fitted.
+"""Training frames at nearly their frequency on the road, to which the answer scale is fitted.
 
-Only frames that are learnt from: those held out stay unseen.
+Frames held out are not used.
 """
 
 from __future__ import annotations
@@ -21,25 +21,28 @@ from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 
 MAX_FRAMES: Final = 1000
-"""Enough for three numbers; they take a hundredth of the time of an epoch of 30,000 samples."""
+"""Enough to fit three numbers. They take a hundredth of the time of an epoch of 30,000 samples."""
 
 TOWARDS_BALANCE: Final = 0.25
-"""The point between the frequency of the road (0), which has few hard bends, and that of equal bins (1).
-At 0 answers have the least error, but hairpins are driven wide, or not: see docs/studies/natural-answers.md."""
+"""The mix of the frequency of the road (0), which has few hard bends, and that of equal bins (1). At 0, answers
+have the smallest error, but the car drives hairpins wide or leaves the road: see
+docs/studies/natural-answers.md."""
 
 _COLUMNS: Final = (*LOADED, "camera", "bin", "copy")
 
 
 class NaturalFrames:
-    """Training frames as the car sees them, and mirrored, none altered, nearly as often as on the road.
+    """Unaltered training frames and their mirror images, at nearly their frequency on the road.
 
-    The mirror images make both sides alike: what the offset mends is the network, not the direction of the track.
+    With the mirror images, left and right are equally frequent: the offset corrects the network, not the direction
+    of the track.
     """
 
     def __init__(
         self, samples: Samples, batch: int, threads: int, picture: PictureSpec, *, keeps_pictures: bool = False
     ) -> None:
-        """`keeps_pictures` decodes them once, not in every epoch, and takes up to 50 MB at the default size."""
+        """`keeps_pictures` decodes pictures once, not in every epoch, and takes up to 50 MB at the default
+        size."""
         frames = _at_natural_frequency(samples)
         budget_bytes = len(frames) * picture.size_bytes if keeps_pictures else 0
         self.loader = Loader(
@@ -47,7 +50,7 @@ class NaturalFrames:
         )
 
     def fit(self, network: PictureNetwork) -> AnswerScale:
-        """The scale of a network's answers to these frames. NaN in its answers are as if there were no frames."""
+        """The scale for a network's answers, fitted to these frames. Frames with NaN answers are ignored."""
         answers, labels = predict(network, self.loader)
         learnt = steering_in(answers)
         is_number = np.isfinite(learnt)
@@ -55,18 +58,17 @@ class NaturalFrames:
 
 
 def _at_natural_frequency(samples: Samples) -> pa.Table:
-    """At most `MAX_FRAMES` originals of the centre camera; of all cameras, if it has none.
+    """At most `MAX_FRAMES` originals of the centre camera; of all cameras if the centre camera has none.
 
-    Balancing has left each bin a random part of its frames. Each original that is left represents others of its
-    bin.
+    Balancing leaves a random part of each bin, so each remaining original represents others of its bin.
     """
     before = Balance.from_dict(samples.metadata["balance"]).before
     training = samples.of_split("train", _COLUMNS)
     originals = np.flatnonzero(~np.asarray(training["copy"]))
     bins = training["bin"].to_numpy()[originals]
     is_center = np.asarray(pc.equal(training["camera"].cast(pa.string()), "center"))[originals]
-    of_bin = np.bincount(bins, minlength=len(before))
-    weight = (before ** (1 - TOWARDS_BALANCE) / np.maximum(of_bin, 1))[bins]
+    bin_counts = np.bincount(bins, minlength=len(before))
+    weight = (before ** (1 - TOWARDS_BALANCE) / np.maximum(bin_counts, 1))[bins]
     weight = np.where(is_center, weight, 0.0) if is_center.any() else weight
     count = min(MAX_FRAMES, int(np.count_nonzero(weight)))
     quantiles = (np.arange(count) + 0.5) / count * weight.sum()

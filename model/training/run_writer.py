@@ -1,4 +1,4 @@
-"""Writing a run folder while the run is trained: its history, the best weights and checkpoints."""
+"""Writes a run folder during the training: history, best weights and checkpoints."""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ class RunWriter:
     def __init__(self, run: Path) -> None:
         self.run = run
         self.has_saved = False
-        """Whether anything that was learnt is saved."""
-        self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = None  # epoch, weights, their scale
+        """True once learnt weights are saved."""
+        self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = (
+            None  # epoch, weights, answer scale
+        )
 
     def cut_history(self, position: Position, samples: int) -> None:
-        """Remove from the run's files what comes after `position`, at which so many samples are learnt."""
+        """Remove all lines after `position` from the run's files; `samples` is the number of samples learnt by
+        then."""
         for name in (WORST_FILE, METRICS_FILE):
             keep_json_lines(self.run / name, lambda line: line["epoch"] < position.epoch)
         keep_json_lines(self.run / STEPS_FILE, lambda line: line["samples"] <= samples)
@@ -36,20 +39,19 @@ class RunWriter:
         append_json_line(self.run / STEPS_FILE, asdict(step))
 
     def add_epoch(self, epoch: Epoch, worst: WorstPictures | None) -> None:
-        if worst is not None:  # before the epoch's own line, which readers take as a sign of them
+        if worst is not None:  # before the line of the epoch: readers that find it expect the pictures, too
             self._trim_worst(worst.epoch)
             append_json_line(self.run / WORST_FILE, worst.as_dict())
         append_json_line(self.run / METRICS_FILE, epoch.as_dict())
 
     def keep_best(self, epoch: int, network: PictureNetwork, answers: AnswerScale) -> None:
-        """Take a copy of the network's weights, with this scale of its answers, to be saved as those of the best
-        epoch."""
+        """Copy the network's weights, with their answer scale, to save them later as those of the best epoch."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
         self._unsaved_best = epoch, weights, answers
 
     @property
     def has_best(self) -> bool:
-        """Whether there are weights of a finished epoch, saved or not."""
+        """True if there are weights of a finished epoch, saved or not."""
         return self._unsaved_best is not None or (self.run / WEIGHTS).exists()
 
     def save(self, network: nn.Module, averaged: nn.Module, optimizer: Adam, position: Position) -> None:
@@ -65,7 +67,7 @@ class RunWriter:
             self.has_saved = True
 
     def _trim_worst(self, epoch: int) -> None:
-        """Once the worst pictures' file is large, keep the later half of its epochs."""
+        """If worst.jsonl is large, keep only the later half of its epochs."""
         path = self.run / WORST_FILE
         if path.exists() and path.stat().st_size > MAX_WORST_BYTES:
             first = epoch - path.read_bytes().count(b"\n") // 2

@@ -1,4 +1,4 @@
-"""One step of the optimizer: mean squared error of a batch, of each target, its gradient, Adam."""
+"""One training step: the mean squared error of a batch, its gradient, and a step of Adam."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ def training_step(
     batch: int | None = None,
     weights: Tensor | None = None,
 ) -> Tensor:
-    """Train on pictures (N, 3, height, width) uint8 and their labels, steering (N,) or (N, K), on the network's
-    device, and return the squared error, summed over these samples, before the step.
+    """Train on pictures (N, 3, height, width) uint8 and their labels, steering (N,) or targets (N, K), all on the
+    network's device. Returns the squared error before the step, summed over the samples.
 
-    With several targets it is the sum over them, each with its weight of `weights` (K,).
+    With several targets, it is the sum over the targets, weighted by `weights` (K,).
 
-    The gradient is summed over parts of `micro_batch` samples, and divided by `batch`: by default the number of
-    these samples, in a training also of those that do not decode.
+    The gradient is summed over parts of `micro_batch` samples and divided by `batch`, by default N. A training
+    gives a `batch` that also counts samples that do not decode.
     """
     optimizer.zero_grad()
     squared_error = torch.zeros((), device=labels.device)
     scale = 1 / (batch or len(labels))
     parts = zip(torch.split(pictures, micro_batch), torch.split(labels, micro_batch), strict=True)
     kind = labels.device.type
-    # around all parts: the weights are cast once for all of them
+    # around all parts, so that the weights are cast only once
     with torch.autocast(kind, dtype=dtype, enabled=dtype != torch.float32):
         for some_pictures, some_labels in parts:
             predicted = network(some_pictures)
@@ -46,7 +46,7 @@ def training_step(
 
 
 def _squared_error(predicted: Tensor, labels: Tensor, weights: Tensor | None) -> Tensor:
-    """Summed over the samples, and over the targets whose label is known."""
+    """The squared error, summed over the samples and the targets with a label."""
     if labels.dim() == 1:
         return functional.mse_loss(predicted, labels, reduction="sum")
     labels = torch.where(labels.isnan(), predicted.detach(), labels)

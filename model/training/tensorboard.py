@@ -1,4 +1,4 @@
-"""Curves for TensorBoard, in the run's folder, while it is trained.
+"""Curves for TensorBoard, written to the run's folder during the training.
 
     bc-train --tensorboard
     tensorboard --logdir runs
@@ -24,11 +24,11 @@ FOLDER: Final = "tensorboard"
 
 
 class TensorBoard:
-    """A `Listener` that writes RUN/tensorboard; the steps are the samples learnt from since the run began.
+    """A `Listener` that writes RUN/tensorboard. Its steps are the samples learnt since the run began.
 
-    The first event comes with the run's history, which hides all that TensorBoard had of this run: no point is
-    there twice, and none is missing after a kill. TensorBoard's own writer, and so torch's SummaryWriter, is not
-    used: it writes on a thread, which prints its traceback when the disk is full.
+    With the first event, it writes the run's whole history, which hides all earlier points of this run: no point
+    is shown twice, and none is missing after a kill. It does not use TensorBoard's writer or torch's
+    SummaryWriter: they write on a thread, which prints its traceback when the disk is full.
     """
 
     def __init__(self, run: Path) -> None:
@@ -41,7 +41,7 @@ class TensorBoard:
             ) from None
         self._run = run
         self._folder = run / FOLDER
-        self._epoch_ends: dict[int, int] = {}  # of each epoch, in samples
+        self._epoch_ends: dict[int, int] = {}  # samples learnt at the end of each epoch
         self._stream: BinaryIO | None = None
 
     def step(self, step: Step) -> None:
@@ -54,7 +54,7 @@ class TensorBoard:
 
     def close(self) -> None:
         if self._stream is not None:
-            with contextlib.suppress(OSError):  # of what could not be written when it was added
+            with contextlib.suppress(OSError):  # it was already reported when a write failed
                 self._stream.close()
 
     def _add(self, event: Step | Epoch) -> None:
@@ -65,12 +65,13 @@ class TensorBoard:
                 self._write_curves(stream, curve_point)
         except OSError as error:
             raise RunError(
-                f"{self._folder}: cannot be written ({error.strerror}); {write_remedy(error)}, or go on without"
+                f"{self._folder}: cannot be written ({error.strerror}); {write_remedy(error)}, or continue without"
                 " --tensorboard"
             ) from None
 
     def _history(self) -> list[Step | Epoch]:
-        """All until the first event and with it: only now are the files of a resumed run as it goes on."""
+        """All steps and epochs including the first event. Read late, because a resumed run first cuts its
+        files."""
         history, skipped = read_history(self._run)
         if len(skipped):
             lines = "; ".join(skipped.lines())
@@ -83,13 +84,13 @@ class TensorBoard:
         from tensorboard.compat.proto.event_pb2 import SessionLog
 
         if self._folder.is_symlink():
-            raise RunError(f"{self._folder}: a link; remove it: TensorBoard's files must lie in the run's folder")
+            raise RunError(f"{self._folder}: a link; remove it: TensorBoard's files must be in the run's folder")
         self._folder.mkdir(exist_ok=True)
         s, ns = divmod(time.time_ns(), 10**9)
         name = f"events.out.tfevents.{s:010d}.{ns:09d}.{os.getpid()}"  # read in the order of their names
         self._stream = (self._folder / name).open("xb")
         _write(self._stream, file_version="brain.Event:2")
-        _write(self._stream, session_log=SessionLog(status=SessionLog.START))  # at step 0: hides all earlier files
+        _write(self._stream, session_log=SessionLog(status=SessionLog.START))  # at step 0: hides earlier files
         return self._stream
 
     def _write_curves(self, stream: BinaryIO, event: Step | Epoch) -> None:

@@ -1,4 +1,4 @@
-"""Training: mean squared error, Adam, on the balanced index.
+"""Training with the mean squared error and Adam on the balanced index.
 
 bc-train --epochs 10
 """
@@ -57,11 +57,11 @@ from model.training.validation import validation_notices
 @dataclass(frozen=True)
 class Trained:
     run: Path
-    epochs: list[Epoch]  # those of this call
-    skipped: list[Skipped]  # pictures that do not decode, as far as they were met
-    notices: list[str]  # what a person should know before the run is used
-    remarks: list[str]  # what could be better
-    best_epoch: int  # whose weights drive
+    epochs: list[Epoch]  # of this call
+    skipped: list[Skipped]  # pictures that did not decode
+    notices: list[str]  # warnings to read before the run is used
+    remarks: list[str]  # possible improvements
+    best_epoch: int  # its weights drive
     is_stopped_early: bool
 
 
@@ -78,17 +78,18 @@ def train(
 ) -> Trained:
     """Train a network on `index` and keep it in the new folder `run`.
 
-    `init` is a run whose weights it starts from, `like` one whose arithmetic it has, and as many pictures at once,
-    where `config` leaves that open. `resume` goes on with the run where it was stopped, or killed;
-    the weights are then those of a run that never was, on the same processor with as many threads. One that was
-    killed before anything of it was saved begins again from its seed.
-    `listeners` receive its progress; none of them can end it.
-    Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process.
-    Ctrl-C ends the training after the batch that it is in, keeps what there is, and raises KeyboardInterrupt.
-    A network of one's own is run as code: a new run's because `config` names it, that of a run that is resumed
-    only if it was named before (`load_code`).
-    Raises DatasetError if the index does not fit its logs, RunError if the run exists, cannot go on or diverges,
-    if what it goes on with is damaged, if its network cannot be trained, or if the disk is full.
+    `init` is a run from whose weights the training starts. `like` is a run that gives the arithmetic and the
+    micro-batch if `config` leaves them automatic. `resume` continues `run` where it was stopped or killed; on the
+    same processor with the same number of threads, the weights are those of an uninterrupted training. A run that
+    was killed before its first checkpoint restarts from its seed. `listeners` receive the progress; their errors
+    do not end the training.
+
+    Sets PyTorch's number of threads, and on a GPU its precision of float32, for this process. Ctrl-C ends the
+    training after the current batch, saves it, and raises KeyboardInterrupt. The code of a user's own network is
+    run: for a new run because `config` names it, for a resumed run only if `load_code` loaded it before.
+
+    Raises DatasetError if the index does not fit its logs; RunError if the run exists, cannot continue, is damaged
+    or diverges, if its network cannot be trained, or if the disk is full.
     """
     index, run, init = location(index), Path(run), None if init is None else Path(init)
     stored = load_config(run) if resume else {}
@@ -114,7 +115,7 @@ def train(
         guarded = Listeners(listeners, notices)
         stack.callback(guarded.close)
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
-        stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # the caller's random numbers stay his
+        stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # keep the caller's random state
         writer = RunWriter(run)
         origin = {
             "index": relative_place(run, index),
@@ -165,9 +166,9 @@ def _new_run(
 
 
 def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]:
-    """A notice for each target that is unknown in some sessions: these are learnt for the others alone.
+    """A notice for each target that some sessions lack: from these sessions, only the other targets are learnt.
 
-    Raises RunError where no session does.
+    Raises RunError if no session has a target.
     """
     columns = [TARGETS[name].label_column for name in targets[1:]]
     if not columns:
@@ -182,17 +183,17 @@ def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str
             raise RunError(f"{samples.path}: no session has a {name}; leave it out of --targets")
         if missing := sorted(set(session.tolist()) - labelled):
             others = ", ".join(other for other in targets if other != name)
-            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}: {others} only are learnt there")
+            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}, which train only {others}")
     return notices
 
 
 def _recipe_remarks(samples: Samples, config: TrainConfig) -> list[str]:
-    """A remark if the index was built by another recipe than it is trained by."""
-    built = samples.metadata["settings"].get("recipe", "original")  # earlier versions had no other
+    """A remark if the index and the training have different recipes."""
+    built = samples.metadata["settings"].get("recipe", "original")  # earlier versions had only this recipe
     wanted = IndexConfig.of(config.recipe).recipe
     if built == wanted:
         return []
     return [
-        f"{samples.path}: built by the recipe {built}, trained by {config.recipe}; for one of both give bc-train"
-        f" --recipe {built}, or build it again: `bc-index --recipe {wanted}`"
+        f"{samples.path}: built with the recipe {built}, trained with {config.recipe}; to use one recipe, give"
+        f" bc-train --recipe {built}, or rebuild the index: `bc-index --recipe {wanted}`"
     ]

@@ -1,4 +1,4 @@
-"""The validation after each epoch: how far the network is off on the frames held out."""
+"""The validation after each epoch: the network's errors on the frames held out."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ class Validation:
     def epoch(
         self, position: Position, learnt: Floats, predicted: Floats, recorded: Floats, answers: AnswerScale
     ) -> Epoch:
-        """The measures of an epoch that has been learnt up to its end, `position`: those of the steering `learnt`,
-        and of `predicted`, the same in the scale of `answers`."""
+        """The losses and errors of the finished epoch of `position`. `learnt` are the network's answers,
+        `predicted` the same after the scale `answers`."""
         config = self._config
         measures = measure(steering_in(predicted), steering_in(recorded), max_deg=self._max_deg)
         as_learnt = measure(steering_in(learnt), steering_in(recorded), max_deg=self._max_deg)
@@ -72,7 +72,7 @@ class Validation:
         )
 
     def error(self, measures: Measures) -> float:
-        """The error that the best epoch is chosen by; infinite where nothing is held out."""
+        """The error that chooses the best epoch; infinite if nothing is held out."""
         return error_to_keep_by(self._config.keep, measures) if measures.frames else math.inf
 
     def worst(self, epoch: int, predicted: Floats, recorded: Floats) -> WorstPictures | None:
@@ -83,7 +83,7 @@ class Validation:
 
 
 def _loss(predicted: Floats, recorded: Floats, weights: Sequence[float]) -> float:
-    """The mean squared error as it is learnt by: of several targets the weighted sum, where labels are known."""
+    """The mean squared error as in training: with several targets, the weighted sum over those with a label."""
     squares = np.square(predicted - recorded)
     if squares.ndim == 1:
         return float(np.mean(squares))
@@ -92,7 +92,7 @@ def _loss(predicted: Floats, recorded: Floats, weights: Sequence[float]) -> floa
 
 
 def validation_notices(samples: Samples, validation: Validation, init: Path | None) -> list[str]:
-    """A notice if the frames held out measure little of a run that starts from `init`."""
+    """A notice if no frame is held out, or if `init` has learnt from frames held out."""
     held_out = len(validation)
     settings = samples.metadata["settings"]
     if not held_out:
@@ -104,14 +104,14 @@ def validation_notices(samples: Samples, validation: Validation, init: Path | No
         return []
     if init is None:
         return []
-    try:  # making the split of another training again needs more packages than training does
+    try:  # rebuilding the split of another training needs more packages than training does
         from model.runs.trained_on import count_trained_on
 
         count = count_trained_on(dict(by_session(validation.frames)), samples, load_config(init))
     except ImportError as error:
-        return [f"{init}: whether it has learnt from the frames held out is unknown here ({error})"]
+        return [f"{init}: whether it has learnt from the frames held out is unknown ({error})"]
     if count == 0:
         return []
-    known = "does not record what it has learnt from" if count is None else f"has learnt from {count:,} of them"
-    held = counted(held_out, "frame")
-    return [f"{samples.path}: {held} held out, but {init} {known}: their errors say too little"]
+    learnt = "does not record its training data" if count is None else f"has learnt from {count:,} of them"
+    frames = counted(held_out, "frame")
+    return [f"{samples.path}: {frames} held out, but {init} {learnt}: their errors may be too small"]

@@ -76,4 +76,4 @@ def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytes
     flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]
     assert call(bc_index, *flags, "--recipe", "original") in (0, 3)
     trained(tmp_path)
-    assert "built by the recipe original, trained by altered" in capsys.readouterr().err
+    assert "built with the recipe original, trained with altered" in capsys.readouterr().err

@@ -124,5 +124,5 @@ def test_a_damaged_index_has_none(folder: Path) -> None:
             table.set_column(at, name, pa.array([{"a": 1}] * len(table))),
         ):
             pq.write_table(damaged, path)
-            with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*give `bc-index`"):
+            with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*run `bc-index`"):
                 fingerprint(folder / "index")

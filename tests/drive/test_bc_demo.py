@@ -77,7 +77,7 @@ def test_where_its_commands_are_typed_is_said_when_it_is_stopped(installed: Path
     with Process([str(installed), *command("bc-demo", "--folder", folder)[1:]]) as process:
         wait_until((folder / "index").exists)
         assert process.end() == 130
-        process.wait_for(rf"^bc-demo: what was made is in {folder}; to go on there, .*`cd {folder}`$")
+        process.wait_for(rf"^bc-demo: the results are in {folder}; to continue, .*`cd {folder}`$")
 
 
 def test_a_folder_that_has_a_project_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -234,7 +234,7 @@ def test_a_gpu_that_is_not_there_is_one_line(
 ) -> None:
     flags = ("--simulator", "lake", "--drives", tmp_path / "logs", "--device", "cuda")
     assert call(main, pilot_run, *flags) == 1
-    assert "--device cuda: PyTorch finds no GPU here; give --device cpu" in one_line_in(capsys)
+    assert "--device cuda: PyTorch finds no GPU; give --device cpu" in one_line_in(capsys)
     assert not (tmp_path / "logs").exists()
 
 

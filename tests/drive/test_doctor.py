@@ -174,6 +174,7 @@ def test_an_earlier_versions_index_is_said() -> None:
     pq.write_table(table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
     project = examine()
     assert (
-        "index: an earlier version made it, which held out crashes and did not know all that is odd" in project.odd
+        "index: made by an earlier version, which held out crashes and did not recognise all odd rows"
+        in project.odd
     )
     assert project.advice[0].command == "bc-index"

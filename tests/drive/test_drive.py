@@ -308,7 +308,7 @@ def test_a_returning_simulator_goes_on_in_its_log_with_a_notice(pilot_run: Path,
             server.connected(name)
             server.telemetry(name, fields(0), time.perf_counter()).on_sent(1.0)
             server.disconnected(name, "gone")
-    assert [line for line in said if line.startswith("connected again")] == [f"connected again: {log} goes on"]
+    assert [line for line in said if line.startswith("connected again")] == [f"connected again: {log} continues"]
     assert len(images(log, "/camera/center")) == 2
 
 
@@ -573,7 +573,7 @@ def test_a_car_that_cannot_be_braked_is_named_and_a_second_ctrl_c_ends(
         process.popen.send_signal(signal.SIGINT)
         assert process.join() == 0
         client.close()
-    assert "bc-drive: the car may still roll: it sends nothing any more" in process.stderr
+    assert "bc-drive: the car may still roll: its simulator is silent" in process.stderr
     assert (tmp_path / "run.mcap").exists()
 
 
@@ -603,7 +603,7 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release(
     said = [line for line in process.stderr if "brake" in line or "roll" in line]
     assert said == [
         "bc-drive: the car is braked to a stand; Ctrl-C again ends at once",
-        "bc-drive: the car may still roll: it sends nothing any more",
+        "bc-drive: the car may still roll: its simulator is silent",
     ]
     assert events(log).count("the drive ends: the car is braked to a stand") == 1
 
@@ -633,7 +633,7 @@ def test_a_brake_is_released_after_the_stopping_time_and_logged_once(
         assert (braked, list(sent.values())) == (0, [-1.0, 0.0])
         assert 4 <= released <= 9
         assert session.is_at_rest
-        assert session.end_notice() == "the car may still roll: it sends nothing any more"
+        assert session.end_notice() == "the car may still roll: its simulator is silent"
         session.connected()  # silence on the drive: a brake is not repeated
         server.telemetry("a", fields(0, speed="30.0000"), time.perf_counter()).on_sent(1.0)
         for _ in range(30):
@@ -676,7 +676,7 @@ def test_a_simulator_that_comes_and_goes_does_not_fill_the_screen(pilot_run: Pat
             server.telemetry(str(number), fields(0), time.perf_counter()).on_sent(1.0)
             server.disconnected(str(number), "gone")
     assert len(said) < 12
-    assert sum("it comes and goes" in line for line in said) == 1
+    assert sum("it connects again and again" in line for line in said) == 1
     assert events(log).count("connected") == 20
 
 
@@ -691,7 +691,7 @@ def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_pat
         server.disconnected("a", "gone")
         server.tick()
     assert "9.0 mph" in shown[0]
-    assert shown[1:] == ["the simulator has gone: waiting, with 1 frame so far"]
+    assert shown[1:] == ["the simulator has disconnected: waiting, with 1 frame so far"]
 
 
 def test_a_simulator_that_falls_silent_is_steered_once_unasked(pilot_run: Path, tmp_path: Path) -> None:

@@ -271,7 +271,7 @@ def test_autonomy_and_speed_are_unknown_where_nothing_was_driven() -> None:
                 summary.decision(decision, 2.0, now_s=i / 10)
         assert summary.autonomy_percent is None
         assert "autonomy_percent" not in summary.as_metadata()
-        assert summary_lines(summary)[1].startswith("autonomy unknown, for nothing was driven")
+        assert summary_lines(summary)[1].startswith("autonomy unknown, because nothing was driven")
         assert (summary.mean_speed_mph is None) == (decisions != [no_number] * 30)
 
 
@@ -377,7 +377,7 @@ def test_frames_without_a_number_of_the_network_are_told() -> None:
 def test_a_drive_that_never_was_has_lines_too() -> None:
     assert summary_lines(DriveSummary()) == [
         "0 frames in 0.0 s: distance and speed unknown",
-        "autonomy unknown, for nothing was driven, 0 interventions",
+        "autonomy unknown, because nothing was driven, 0 interventions",
     ]
 
 

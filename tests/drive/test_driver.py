@@ -183,7 +183,7 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
         decision = drive(driver, message(image=encoded(width, height)))
         assert (decision.steering, decision.problem) == (0.5, "")
         events += decision.events
-    assert events == [f"pictures of {width}x{height} pixels, not 320x160: driven on all the same"]
+    assert events == [f"pictures of {width}x{height} pixels, not 320x160: used nevertheless"]
 
 
 def test_a_png_is_driven_on_as_it_came(half_right: Pilot) -> None:
@@ -221,7 +221,7 @@ def test_a_picture_turned_by_exif_is_driven_turned_with_its_header_size(half_rig
     plain = picture(320, 160)
     turned = plain[:2] + b"\xff\xe1" + (2 + len(exif)).to_bytes(2, "big") + exif + plain[2:]
     decision = drive(Driver(half_right, DriveConfig()), message(image=base64.b64encode(turned).decode()))
-    assert decision.events == ("pictures of 160x320 pixels, not 320x160: driven on all the same",)
+    assert decision.events == ("pictures of 160x320 pixels, not 320x160: used nevertheless",)
     assert decision.picture_size == (320, 160)
 
 
@@ -364,7 +364,9 @@ def test_a_car_without_a_speed_is_braked_once_and_never_reversed(half_right: Pil
         events += decision.events
         for _ in range(2):
             car = step(car, decision.steering, decision.throttle)
-    assert events == ["nothing usable for 1 s: the car is braked, as from its top speed: its own is unknown"]
+    assert events == [
+        "nothing usable for 1 s: the car is braked as from its top speed, because its speed is unknown"
+    ]
     assert 1.5 < throttles.count(-1.0) * 2 * STEP_S < 2.5
     assert throttles[:25] == [0.0] * 25
     assert throttles[-1] == 0.0
@@ -573,7 +575,7 @@ def test_the_experts_commands_are_sent_and_the_networks_are_logged(
     assert [decision.driver for decision in decisions] == ["pilot", "expert", "expert"]
     assert [(decision.steering, decision.throttle) for decision in decisions[1:]] == [(-0.3, 0.7)] * 2
     assert {decision.predicted_steering for decision in decisions} == {0.5}
-    assert decisions[1].events == ("the expert takes over: 0.95 of the half width, and going off to the left",)
+    assert decisions[1].events == ("the expert takes over: 0.95 of the half width, and moving off to the left",)
     assert decisions[1].telemetry is not None
     assert decisions[1].telemetry.world is not None
     assert decisions[1].telemetry.world.expert_steering == -0.3

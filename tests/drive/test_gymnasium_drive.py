@@ -54,7 +54,7 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
         assert log.metadata["simulator"] == "toy_environment:toy/Bar-v0"
         events = Counter(event.message for _, event in log.decoded("/events"))
     assert len(sent) == 2 * STEPS
-    assert events["pictures of 64x48 pixels, not 320x160: driven on all the same"] == 1
+    assert events["pictures of 64x48 pixels, not 320x160: used nevertheless"] == 1
     # What was sent is what the environment's car did when the next picture was taken.
     for start in (0, STEPS):
         assert driven[start] == 0.0
@@ -119,7 +119,7 @@ def test_the_earlier_flags_name_their_successor(line: list[str], capsys: pytest.
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
-        ([{}, *UNSEEN], 1, "for the pedals give speed, the key of the environment's"),
+        ([{}, *UNSEEN], 1, "for the pedals give the environment's key"),
         ([SPEED, *UNSEEN, "--simulator", "lake"], 2, "--simulator: not with --gym"),
         ([SPEED, *UNSEEN, "--takeover"], 2, "--takeover: not with --gym"),
         ([SPEED, *UNSEEN, "--seed", "-1"], 2, "--seed -1"),

@@ -105,5 +105,5 @@ def test_ctrl_c_ends_the_wait_for_the_page(run: Path) -> None:
     with supervised(run) as process:
         process.wait_for(WAITS)
         assert process.end() == 1
-    assert process.stderr[-1].endswith("nothing was driven: nobody opened the page")
+    assert process.stderr[-1].endswith("nothing was driven: the page was not opened")
     assert not list(Path.cwd().glob("drive*"))

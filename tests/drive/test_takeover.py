@@ -106,9 +106,9 @@ def test_the_while_begins_again_where_all_is_not_well() -> None:
 def test_each_change_is_said_once() -> None:
     said = [text for _, texts in driven(Takeover(), [0.0, 0.95, 0.95, *[0.0] * 40, -0.95]) for text in texts]
     assert said == [
-        "the expert takes over: 0.95 of the half width, and going off to the left",
+        "the expert takes over: 0.95 of the half width, and moving off to the left",
         "the pilot drives again",
-        "the expert takes over: 0.95 of the half width, and going off to the right",
+        "the expert takes over: 0.95 of the half width, and moving off to the right",
     ]
 
 

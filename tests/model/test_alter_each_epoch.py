@@ -78,7 +78,7 @@ def test_the_command_keeps_it_and_like_and_resume_repeat_it(
     assert settings(tmp_path / "first")["alter_each_epoch"] == ["noise", "move"]
     capsys.readouterr()
     assert call(main, "--resume", "first", "--epochs", 3, "--alter-each-epoch", "all", *places) == 1
-    assert "was begun with --alter-each-epoch" in capsys.readouterr().err
+    assert "began with --alter-each-epoch" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("names", [("all", "move"), ("none", "move"), ("move", "move")])

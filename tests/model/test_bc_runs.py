@@ -213,7 +213,7 @@ def test_a_line_that_was_cut_off_takes_no_other_one_with_it(
 def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a file").touch()
     assert call(bc_runs, "--runs", tmp_path / "a file") == 1
-    assert "a file, no folder of runs; train a run with `bc-train`" in capsys.readouterr().err
+    assert "a file, not a folder; train a run with `bc-train`" in capsys.readouterr().err
     for folder in (tmp_path, tmp_path / "nowhere"):
         assert call(bc_runs, "--runs", folder) == 1
         assert "bc-train" in capsys.readouterr().err

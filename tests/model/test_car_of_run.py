@@ -74,7 +74,7 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(cwd: Path, capsys: p
         (bc_train, "--init", "own", "--index", "index-plain", "--name", "both", *SMALL),
     ):
         assert call(*line) == 1
-        assert "answers 1 where the wheels are to turn by 30 degrees" in capsys.readouterr().err
+        assert "steering 1 turns the wheels by 30 degrees" in capsys.readouterr().err
     assert not Path("runs/both").exists()
 
 

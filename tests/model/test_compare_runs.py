@@ -32,7 +32,7 @@ STEP_NS = 1_000_000_000  # 12 blocks of 5 s
 PEOPLE = replace(SMALL, recipe="people", average_steps=TrainConfig.average_steps, answers="natural")
 CROP_PX = 320 / 96  # of the camera's picture, a pixel of the network's
 
-SAME = "good: A and B are the same run, which is never worse than itself; give another one as B"
+SAME = "good: A and B are the same run, which is never worse than itself; give another run as B"
 
 Json = dict[str, Any]
 Weights = dict[str, Tensor]

@@ -228,7 +228,7 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
     settings = replace(SMALL, epochs=1, batch=40, network=f"{source}:Net")
     run = train(index, tmp_path / "runs" / "mine", settings).run
     assert call(main, "export", run, "--network", f"{source}:Net", "--hub", tmp_path / "hub") == 3
-    said = "hub: without an ONNX file: its network cannot be written as ONNX: a part is missing there"
+    said = "hub: without an ONNX file: its network cannot be written as ONNX: ONNX lacks a part of it"
     assert said in capsys.readouterr().err
     assert not (tmp_path / "hub" / "model.onnx").exists()
     assert len(snippets(tmp_path / "hub")) == 1

@@ -202,5 +202,5 @@ def test_what_cannot_be_trained_is_one_line(
 def test_without_torchvision_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torchvision.models", None)
     network = choose_network(TrainConfig(network="resnet18"))
-    with pytest.raises(RunError, match=r"`pip install .*\[torchvision\].*` brings it"):
+    with pytest.raises(RunError, match=r"install it with `pip install .*\[torchvision\].*`"):
         network.build()

@@ -16,7 +16,7 @@ from driving import untrained_run
 from model import RunError, load_pilot
 from model.device import choose_device
 from model.network import replayed
-from model.network.replayed import replayed_where_the_same
+from model.network.replayed import replayed_if_equal
 
 CPU = torch.device("cpu")
 UNFIT = torch.device("meta")  # PyTorch's device without numbers: a network can be put there, and never answers
@@ -57,7 +57,7 @@ def in_place_of_graph(monkeypatch: pytest.MonkeyPatch, wrong: float = 0.0) -> No
 
 def test_a_recorded_calculation_answers_to_each_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     in_place_of_graph(monkeypatch)
-    recorded = replayed_where_the_same(calculate, SHAPE, CPU)
+    recorded = replayed_if_equal(calculate, SHAPE, CPU)
     assert recorded is not None
     with torch.inference_mode():
         answers = [recorded(picture) for picture in pictures(5)]
@@ -68,7 +68,7 @@ def test_a_recorded_calculation_answers_to_each_picture(monkeypatch: pytest.Monk
 
 def test_a_recording_that_answers_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     in_place_of_graph(monkeypatch, wrong=0.5)
-    assert replayed_where_the_same(calculate, SHAPE, CPU) is None
+    assert replayed_if_equal(calculate, SHAPE, CPU) is None
 
 
 @pytest.mark.parametrize("error", [RuntimeError("operation not permitted when stream is capturing"), TypeError()])
@@ -77,7 +77,7 @@ def test_what_cannot_be_recorded_is_not_replayed(monkeypatch: pytest.MonkeyPatch
         raise error
 
     monkeypatch.setattr(replayed, "record", record)
-    assert replayed_where_the_same(calculate, SHAPE, CPU) is None
+    assert replayed_if_equal(calculate, SHAPE, CPU) is None
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
@@ -110,7 +110,7 @@ def test_a_pilot_on_the_processor_records_nothing(run: Path) -> None:
 def test_without_a_gpu_it_is_the_processor_or_an_error(run: Path) -> None:
     assert choose_device("auto") == choose_device("cpu") == CPU
     assert load_pilot(run).device == "cpu"
-    with pytest.raises(RunError, match="--device cuda: PyTorch finds no GPU here; give --device cpu"):
+    with pytest.raises(RunError, match="--device cuda: PyTorch finds no GPU; give --device cpu"):
         load_pilot(run, device="cuda")
 
 

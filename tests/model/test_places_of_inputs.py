@@ -73,7 +73,7 @@ def test_a_run_that_was_trained_here_on_an_index_elsewhere_is_measured(project: 
     index = toy_index(project.parent / "far")
     train(index, project / "runs" / "ours", SMALL)
     done = run("bc-eval", "ours", cwd=project)  # another process
-    assert "measured on what" in done.stdout, done.stderr
+    assert "measured on the frames" in done.stdout, done.stderr
     with Samples(index) as samples:
         assert list(samples.logs) == ["toy"]
     assert sessions_of(project / "runs" / "ours") == index.parent

@@ -219,7 +219,7 @@ def test_a_training_killed_before_its_first_checkpoint_begins_again(
     train_killed(index, run)
     assert not list(run.rglob("*.safetensors"))
     assert call(main, "--resume", "run", "--runs", tmp_path) == 0
-    assert "begun again from its seed: it was stopped before anything was saved" in capsys.readouterr().out
+    assert "restarted from its seed: it was stopped before anything was saved" in capsys.readouterr().out
     assert_same(run, whole)
 
 
@@ -249,7 +249,7 @@ def test_a_run_goes_on_with_its_own_settings_only(index: Path, stopped: Path) ->
         "crop-rows None": {"crop_rows": (40, 20)},
     }
     for begun_with, changed in others.items():
-        with pytest.raises(RunError, match=rf"begun with --{begun_with} .* --init \S*/stopped$"):
+        with pytest.raises(RunError, match=rf"began with --{begun_with} .* --init \S*/stopped$"):
             train(index, stopped, replace(CONFIG, epochs=9, **changed), resume=True)
 
 
@@ -279,7 +279,9 @@ def test_a_run_goes_on_with_as_many_pictures_at_once_as_it_was_begun_with(index:
 def test_a_run_goes_on_with_the_samples_it_was_begun_with_only(stopped: Path, tmp_path: Path) -> None:
     log = write_log(tmp_path / "toy.mcap", STEERING[:30], road, cameras=["center"])
     other = build_index([log], tmp_path / "index", IndexConfig(flip=False, max_uses=1)).path
-    with pytest.raises(RunError, match=r"not the samples .*`bc-train --resume .* --index .*` builds those"):
+    with pytest.raises(
+        RunError, match=r"not the samples .*`bc-train --resume .* --index .*` rebuilds its samples"
+    ):
         train(other, stopped, replace(CONFIG, epochs=9), resume=True)
 
 
@@ -393,7 +395,7 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     assert call(main, "--resume", "first", *places) == 0
     assert "all its epochs are learnt" in capsys.readouterr().out
     assert call(main, "--resume", "first", "--batch", 4, *places) == 1
-    assert "begun with --batch 8" in capsys.readouterr().err
+    assert "began with --batch 8" in capsys.readouterr().err
     assert call(main, "--resume", "nobody", *places) == 1
     assert "nobody: no run there" in capsys.readouterr().err
     for unfit in (["--like", "first"], ["--init", "first"], ["--name", "other"]):

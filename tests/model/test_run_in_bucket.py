@@ -54,7 +54,7 @@ def test_a_run_is_copied_and_goes_on_on_another_machine(
     monkeypatch.chdir(tmp_path / "two")
     capsys.readouterr()
     assert call(main, "--resume", "mine", "--runs", RUNS, "--index", index, "--epochs", "2") == 0
-    assert "going on in epoch 2" in capsys.readouterr().out
+    assert "continued in epoch 2" in capsys.readouterr().out
     assert files(bucket.folder / "runs/mine") == files(Path("runs/mine"))
     alone = train(index, tmp_path / "alone", replace(SMALL, epochs=2)).run
     assert (find_run(RUN, "runs") / "model.safetensors").read_bytes() == (alone / "model.safetensors").read_bytes()
@@ -99,7 +99,7 @@ def test_another_run_of_that_name_here_is_not_replaced(
     Path("runs/mine").mkdir(parents=True)
     Path("runs/mine/config.json").write_text("ours")
     assert call(main, "--resume", RUN, "--index", index) == 1
-    assert f"runs/mine: exists here, but is not a copy of {RUN}" in capsys.readouterr().err
+    assert f"runs/mine: exists, but is not a copy of {RUN}" in capsys.readouterr().err
     assert files(Path("runs/mine")) == {"config.json": b"ours"}
 
 

@@ -278,7 +278,7 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     (evaluation,) = evaluate_runs([folder / "run"], tmp_path / "index")
     assert [errors.target for errors in evaluation.other_targets] == ["throttle"]
     (notice,) = evaluation.notices
-    assert "answers the speed of 1 s later, and the labels are of 0.5 s later" in notice
+    assert "it answers the speed 1 s ahead, and the labels have the speed 0.5 s ahead" in notice
 
     half = replace(QUICK, targets=("steering", "speed"), epochs=1)
     train(tmp_path / "index", tmp_path / "half", half)
@@ -290,7 +290,7 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
     _, second, third = evaluate_runs_on_sessions(runs, [folder / "drive.mcap"])
     assert second.other_targets == by_itself.other_targets
     assert [errors.target for errors in third.other_targets] == ["throttle"]
-    assert sum("answers the speed of 1 s later" in notice for notice in third.notices) == 1
+    assert sum("it answers the speed 1 s ahead" in notice for notice in third.notices) == 1
 
 
 # What goes on from it
@@ -360,7 +360,7 @@ def test_settings_of_other_targets_than_its_networks_are_refused(folder: Path, t
     config["training"]["targets"] = ["steering", "speed"]
     (run / "config.json").write_text(json.dumps(config))
     with pytest.raises(
-        RunError, match="answers steering speed throttle, its training settings are of steering speed"
+        RunError, match="answers steering speed throttle, but its training settings are for steering speed"
     ):
         train(folder / "index", run, None, resume=True)
 
@@ -371,7 +371,7 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     build_index([silent, told], tmp_path / "index", SETTINGS)
     settings = replace(QUICK, targets=("steering", "speed"), epochs=1)
     trained = train(tmp_path / "index", tmp_path / "run", settings)
-    assert any("no speed in silent: steering only are learnt there" in notice for notice in trained.notices)
+    assert any("no speed in silent, which train only steering" in notice for notice in trained.notices)
     build_index([silent], tmp_path / "index", SETTINGS)
     with pytest.raises(RunError, match="no session has a speed"):
         train(tmp_path / "index", tmp_path / "none", settings)

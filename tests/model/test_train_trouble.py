@@ -28,7 +28,7 @@ from udacity import call
 
 def test_an_infinite_loss_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:
     with pytest.raises(
-        RunError, match=r"no longer finite in epoch 1; train anew with a --rate smaller than 1e\+30"
+        RunError, match=r"no longer finite in epoch 1; train again with a --rate smaller than 1e\+30"
     ):
         train(index, tmp_path / "run", replace(SMALL, rate=1e30))
     assert not (tmp_path / "run").exists()  # nothing was learnt: the name is free

@@ -97,7 +97,7 @@ def test_training_runs_where_nothing_else_is_installed(network: str, tmp_path: P
         timeout=PATIENCE_S,
     )
     assert done.returncode == 0, done.stderr
-    assert f"{tmp_path / 'run'}: whether it has learnt from the frames held out is unknown here (" in done.stdout
+    assert f"{tmp_path / 'run'}: whether it has learnt from the frames held out is unknown (" in done.stdout
     samples, shape, _ = done.stdout.splitlines()[-1].partition(" (16, 128, 128, 3) ")
     assert shape
     assert int(samples) > 16

@@ -111,4 +111,4 @@ def test_the_log_and_a_drive_with_the_run_say_it(
     monkeypatch.setenv("COLUMNS", "300")
     assert call(bc_log, "info", "sessions/track.mcap") == 0
     assert "%, up to 100.0" in capsys.readouterr().out
-    assert "does not say how far its wheels turn" in other_steering(Path("runs/first"), None)
+    assert "whose largest wheel angle is unknown" in other_steering(Path("runs/first"), None)

@@ -99,12 +99,12 @@ def test_the_two_lines_of_a_good_network() -> None:
 
 
 @pytest.mark.parametrize(("frames", "is_few"), [(81, True), (299, True), (300, False)])
-def test_a_verdict_on_few_frames_says_that_it_is_unsure(frames: int, is_few: bool) -> None:
+def test_a_verdict_on_few_frames_says_that_it_is_uncertain(frames: int, is_few: bool) -> None:
     few = measured(0.1, np.linspace(-0.6, 0.6, frames))
-    said = f"; only {frames} frames measured, so these errors are unsure; "
+    said = f"; only {frames} frames measured, so these errors are uncertain; "
     for driven in ((), ({"track": "lake", "set_speed_mph": 10.0, "interventions": 0},)):
         summary = verdict_of(numbers(measured=few, drives=driven)).summary
-        assert (said in summary) is ("unsure" in summary) is is_few
+        assert (said in summary) is ("uncertain" in summary) is is_few
 
 
 def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
@@ -196,7 +196,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
                 sound(logs={"more": {"log": "../sessions/more.mcap"}, "b": {"log": "../sessions/b.mcap"}}),
                 epochs=[scaled(epoch(number, 0.2), 0.4, rmse_deg=90.0) for number in range(1, 11)],
             ),
-            "more of other roads",
+            "recordings of other roads",
             "bc-record more-2 --from ~/recording",
         ),
         (

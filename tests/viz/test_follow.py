@@ -168,7 +168,7 @@ def test_a_log_that_is_given_up_is_an_error_and_not_waited_for(tmp_path: Path) -
     with GrowingLog(writer.part) as log:
         shown_of(log.read())
         writer.discard()
-        with pytest.raises(LogError, match=r"a\.mcap: nothing more to show: it was deleted"):
+        with pytest.raises(LogError, match=r"a\.mcap: nothing more to show: the log was deleted"):
             shown_of(log.read())
 
 
@@ -420,7 +420,7 @@ def test_a_killed_recording_is_shown_as_far_as_it_is_whole(tmp_path: Path) -> No
     rrd = tmp_path / "live.rrd"
     with Process([sys.executable, "-c", RECORDER, str(tmp_path / "live.mcap")]) as recording:
         part = Path(recording.wait_for("^part (.*)$")[1])
-        says = f"{part}: its recording was killed; everything complete is shown; `bc-log recover {part}`"
+        says = f"{part}: its recording was killed; all complete chunks are shown; `bc-log recover {part}`"
         save = Process(command("bc-play", part, "--follow", "--save", rrd))
         with save, Following(part) as window:
             viewer = window.wait_for_viewer()
@@ -448,7 +448,7 @@ def test_what_was_cut_off_by_a_kill_is_named(
     assert f"to {part.stat().st_size:,}" in said
     part.write_bytes(b"")
     assert call(main, part, "--follow", "--save", tmp_path / "b.rrd") == 1
-    assert "killed before anything of it was written" in capsys.readouterr().err
+    assert "killed before it wrote anything" in capsys.readouterr().err
     assert not list(tmp_path.glob("b.rrd*"))
 
 

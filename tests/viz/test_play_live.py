@@ -172,7 +172,7 @@ def test_an_address_can_be_short() -> None:
     assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
     assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
     for wrong in ("other", "http://other:1234", "a b:1", "rerun+http://other:x/proxy", "other:123456", "-x:1 2"):
-        with pytest.raises(UserError, match=r"^--connect .*: no address of a viewer"):
+        with pytest.raises(UserError, match=r"^--connect .*: HOST:PORT, or PORT on this machine, was expected"):
             viewer_url(wrong)
 
 
@@ -205,7 +205,7 @@ def test_what_is_no_viewer_is_one_line(
         return line
 
     (nobody,) = free_ports(1)
-    assert f"127.0.0.1:{nobody}: no viewer listens there" in said(nobody)
+    assert f"127.0.0.1:{nobody}: no viewer listens" in said(nobody)
     with answering(b"HTTP/1.0 400 Bad request\r\n\r\n") as port:
         assert "is not a Rerun viewer" in said(port)
     with answering(b"") as port:
@@ -213,8 +213,8 @@ def test_what_is_no_viewer_is_one_line(
     with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
         patched.setattr("viz.viewer_connection._PATIENCE_S", 0.2)
         assert "no answer" in said(silent.getsockname()[1])
-    assert "no address of a viewer" in said("somewhere", code=2)
-    assert "no viewer listens there" in said("99999")
+    assert "HOST:PORT, or PORT on this machine, was expected" in said("somewhere", code=2)
+    assert "no viewer listens" in said("99999")
 
 
 def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
@@ -265,10 +265,11 @@ def test_a_viewer_that_cannot_start_says_why_and_disturbs_nothing(
         with preview(writer.part, f"127.0.0.1:{nobody}"):
             writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
             said = line_from(capfd)
-            assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens there")
+            assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens")
             again = f"bc-play {tmp_path / 'a.mcap'} --follow"
             assert said.endswith(
-                f"; everything else continues; `{again}` opens another one, `{again} --web` in a browser\n"
+                f"; everything else continues; `{again}` opens another viewer, `{again} --web` opens it in a"
+                " browser\n"
             )
         writer.vehicle(START_NS + STEP_NS, 1, VehicleState(steering=0.5))
     assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 0
@@ -287,7 +288,7 @@ def test_a_window_that_cannot_open_names_a_command_and_only_its_own_flags(
     assert said.startswith("viewer: the Rerun viewer ")
     assert "give --web" not in said
     assert said.endswith(
-        f"; everything else continues; `{again}` opens another one, `{again} --web` in a browser\n"
+        f"; everything else continues; `{again}` opens another viewer, `{again} --web` opens it in a browser\n"
     )
 
 

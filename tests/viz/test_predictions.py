@@ -115,7 +115,7 @@ def test_how_far_each_run_is_off_is_printed(project: Path, shown: Path, said: di
     error = 25 * (np.array(said["first"]) - np.array(STEERING))
     rmse, mean = np.sqrt(np.mean(error**2)), 25 * np.std(STEERING)
     expected = (
-        f"first: {ROWS} frames, RMSE {rmse:.2f} degrees from what was recorded (always the mean: {mean:.2f})"
+        f"first: {ROWS} frames, RMSE {rmse:.2f} degrees from the recorded steering (always the mean: {mean:.2f})"
     )
     assert lines[0].startswith(expected)
     assert lines[1].startswith(f"second: {ROWS} frames")
@@ -302,7 +302,7 @@ def test_a_picture_without_a_row_has_a_prediction_and_no_error(
             log.picture("center", START_NS + row, row, road_jpeg(row))
     flags = ("--run", "first", "--save", tmp_path / "a.rrd", "--write", tmp_path / "kept.mcap")
     assert call(main, tmp_path / "a.mcap", *flags) == 0
-    assert "first: 3 frames, nothing recorded with them" in capsys.readouterr().out
+    assert "first: 3 frames, no steering recorded with them" in capsys.readouterr().out
     entities = contents(tmp_path / "a.rrd")
     assert len(entities["/steering/predicted_by/first"]["Scalars:scalars"]) == 3
     assert not [entity for entity in entities if entity.startswith(("/error_deg", "/events"))]
@@ -318,7 +318,7 @@ def test_what_cannot_be_is_one_line(project: Path, tmp_path: Path) -> None:
     save_file({name: np.full_like(value, np.nan) for name, value in load_file(weights).items()}, weights)
     with pytest.raises(UserError, match="no picture of the centre camera"):
         predict_log(tmp_path / "states.mcap", [project / "runs" / "first"])
-    with pytest.raises(RunError, match="predicts something that is not a number"):
+    with pytest.raises(RunError, match="predicts a number that is not finite"):
         predict_log(project / "session.mcap", [tmp_path / "wild"])
     with pytest.raises(RunError, match="first: given 2 times"):
         predict_log(

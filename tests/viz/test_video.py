@@ -138,7 +138,7 @@ def test_it_plays_faster_and_then_leaves_out_what_no_screen_could_show(
     done = play(log, "--video", tmp_path / "again.mp4", "--speed", 12)
     assert done.code == 0
     assert done.stderr == (
-        f"{made.left_out} pictures left out, in the same sixtieth of a second as another: a video shows at most"
+        f"{made.left_out} pictures left out, in the same sixtieth of a second as another: a video has at most"
         " 60 a second\n"
     )
 

@@ -1,1 +1,1 @@
-"""A log shown while it is being written."""
+"""Show a log while it is being written."""

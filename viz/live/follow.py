@@ -1,4 +1,4 @@
-"""A log shown while it is being written, by a process whose end does not disturb the recording."""
+"""Show a log while it is being written, in a process whose end does not disturb the recording."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from viz.viewer_feed import POLL_S, ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Viewer
 
 BEHIND_S: Final = 2.0
-"""Held up for longer than that, pictures older than that are skipped."""
+"""If sending was delayed by more than this time, pictures older than this time are skipped."""
 HISTORY_S: Final = 60.0
-"""Pictures from before the viewer was opened are skipped if they are older than that."""
-VIEWER_MEMORY: Final = "1GB"  # beyond that, it drops the oldest
+"""When the viewer opens, pictures older than this time are skipped."""
+VIEWER_MEMORY: Final = "1GB"  # above it, the viewer drops the oldest data
 WHOLE_S: Final = 2.0
-"""Time between two updates of the drawings of the whole log: histogram and path."""
+"""Time between two updates of the histogram and the path, which show the whole log."""
 
 
 @dataclass(frozen=True)
 class FollowResult:
-    """The outcome of a log that was followed to its end."""
+    """The result of following a log to its end."""
 
     notice: str
-    """Says that its recording was killed; empty if it was finished."""
+    """A notice that the recording was killed; empty if it was finished."""
     skipped: Skipped
     """Messages and pictures that were not shown."""
 
@@ -45,11 +45,11 @@ class FollowResult:
 def save_growing(
     path: Path, rrd: Path, *, overwrite: bool = False, stop: threading.Event | None = None, keeps_up: bool = False
 ) -> FollowResult:
-    """Write the log at `path` to the file `rrd` as it grows, until it is finished, its recording was killed, or
+    """Write the growing log at `path` to the file `rrd`, until the log is finished, its recording is killed, or
     `stop` is set. `keeps_up` is for a file that is watched while it grows: see `_send`.
 
-    Raises LogError if the log cannot be read or is deleted before its end, UserError if `rrd` exists and may
-    not be overwritten, or where the disk is full.
+    Raises LogError if the log cannot be read or is deleted before its end; UserError if `rrd` exists and may not
+    be overwritten, or if the disk is full.
     """
     _refuse_windows()
     with rrd_file(rrd, overwrite=overwrite) as file, GrowingLog(path) as log:
@@ -60,11 +60,11 @@ def save_growing(
 
 
 def follow_log(path: Path, url: str, viewer: Viewer | None) -> int:
-    """Show the log at `path` as it grows in the viewer at `url`; return the exit code.
+    """Show the growing log at `path` in the viewer at `url`. Returns the exit code.
 
-    `viewer` is its process if it was opened for this, and shows the log until it is closed; None for a viewer that
-    ran before, which has all when the log is finished. Trouble with the log is printed on stderr when it happens.
-    Raises UserError if the viewer does not start, or dies.
+    `viewer` is the process of a viewer that was opened for this log: it shows the log until it is closed. None
+    means a viewer that was already running: the function ends when the log is finished. Problems of the log are
+    printed on stderr when they happen. Raises UserError if the viewer does not start, or dies.
     """
     return feed_viewer(LogFeed(path, url), viewer)
 
@@ -80,10 +80,10 @@ class LogFeed(ViewerFeed):
         recording = self._connected(name)
         with GrowingLog(self._path) as log:
             try:
-                taken = _send(log, recording, self.stop, self.stop, lambda: self._flush(recording))
+                is_complete = _send(log, recording, self.stop, self.stop, lambda: self._flush(recording))
                 if log.notice:
                     self.code = warn(log.notice)
-                elif not taken:
+                elif not is_complete:
                     self._raise_if_not_closed()
                 elif log.is_finished and not self.stop.is_set():
                     print_notice(f"{name} is finished" + ("" if log.skipped else ", all of it is shown"))
@@ -101,11 +101,11 @@ def _send(
     has_failed: threading.Event,
     flush: Callable[[], object] | None = None,
 ) -> bool:
-    """Send the log as it grows, until it ends, `stop` is set (after sending what is there) or the viewer is gone.
-    Return True if all was taken.
+    """Send the growing log until it ends, `stop` is set (then send what is written so far), or the viewer is
+    closed. Returns True if everything was sent.
 
-    With `flush`, which waits until a viewer has taken what was sent, it keeps up: pictures that are too old
-    are not sent, but counted in `log.skipped`.
+    `flush` waits until a viewer has received all data. With `flush`, the function keeps up with the log: it does
+    not send pictures that are too old, but counts them in `log.skipped`.
     """
     keep_up = flush is not None
     sender = LiveMessageSender(recording)
@@ -117,14 +117,14 @@ def _send(
             sender.send(messages)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
-        # A file is looked at when it is whole, and would keep each of them.
+        # A file keeps every version of these drawings, but only the last one is seen: draw them once, at the end.
         if is_last or (keep_up and now_s - whole_s >= WHOLE_S):
             sender.finish()
             whole_s = now_s
         try:
-            (flush or recording.flush)()  # what the viewer does not take must not pile up here
+            (flush or recording.flush)()  # so that unsent data does not pile up in this process
         except (ViewerGoneError, RuntimeError):
-            return False  # the viewer is gone
+            return False  # the viewer is closed
         if is_last:
             if not log.has_crcs:
                 print_notice(f"{final_path(log.path)}: {WITHOUT_CRCS}")
@@ -138,4 +138,4 @@ def _send(
 
 def _refuse_windows() -> None:
     if sys.platform == "win32":
-        raise UserError("--follow does not work on Windows: a file that is open there cannot get its final name")
+        raise UserError("--follow does not work on Windows: Windows cannot rename a file that is open")

@@ -1,4 +1,4 @@
-"""A log that is being written, read by complete chunks as it grows."""
+"""Read a growing log by complete chunks."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from viz.live.live_messages import SHOWN, LiveMessage
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
 QUIET_S: Final = 2.0
-"""A log that has no writer, as far as the file system shows, and has not grown for so long was killed."""
+"""A log without a writer that has not grown for this time counts as killed."""
 
 
 def find_log(path: Path) -> Path:
-    """The present path of a log that was or will be at `path`: it has another name until its writer closes it."""
+    """The present path of the log `path`: a log has another name until its writer closes it."""
     final = final_path(path)
     for place in (path, final):
         if place.exists():
@@ -36,12 +36,12 @@ def find_log(path: Path) -> Path:
     try:
         parts = [part for part in path.parent.iterdir() if final_path(part) == path and not part.is_symlink()]
         return max(parts, key=lambda part: part.stat().st_mtime_ns, default=path)
-    except OSError:  # no such folder, or it has just been given its final name
+    except OSError:  # the folder is missing, or the log has just got its final name
         return final if final.exists() else path
 
 
 def is_finished(path: Path) -> bool:
-    """True if there is a finished log at `path`. Raises LogError if it cannot be opened or is no log."""
+    """True if `path` is a finished log. Raises LogError if it cannot be opened or is not a log."""
     if not _has_begun(path):
         return False
     with McapFile(path) as file:
@@ -49,10 +49,10 @@ def is_finished(path: Path) -> bool:
 
 
 class GrowingLog(Closeable):
-    """The messages of a log that can be shown, as far as it has come. Its file may be renamed meanwhile.
+    """The showable messages of a growing log. Its file may be renamed meanwhile.
 
-    When nothing more will come, either `is_finished` is true, or `notice` is that the recording was killed.
-    Raises LogError if it cannot be opened, is no log, is deleted before it is finished, or nothing was written.
+    At the end of the log, either `is_finished` is true, or `notice` says that the recording was killed. Raises
+    LogError if the log cannot be opened, is not a log, is deleted before it is finished, or has no content.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +67,7 @@ class GrowingLog(Closeable):
 
     @property
     def has_crcs(self) -> bool:
-        """True if all that was read of it has CRCs, without which damage is not noticed."""
+        """True if all chunks read so far have CRCs. Without CRCs, damage is not detected."""
         return self._file is None or self._file.have_crcs(self._structure.chunks)
 
     def close(self) -> None:
@@ -75,20 +75,20 @@ class GrowingLog(Closeable):
             self._file.close()
 
     def read(self, pictures_of_last_s: float | None = None) -> Iterator[list[LiveMessage]]:
-        """Yield the messages completed since the last call, a list for each chunk.
+        """Yield the new messages since the last call, one list for each complete chunk.
 
-        With `pictures_of_last_s`, pictures that are older than that before the newest message are skipped.
+        With `pictures_of_last_s`, pictures that are older than the newest message by more than this are skipped.
         """
         path = find_log(self.path)
-        is_written = is_being_written(path)  # asked first: what was written until it died is then read
+        is_written = is_being_written(path)  # before reading, to read everything that a killed writer wrote
         before = self._position, len(self._structure.chunks), len(self._structure.lost)
-        self._file = self._file or self._opened()
+        self._file = self._file or self._open()
         if self._file is not None:
             self._walk_on(self._file)
         if is_written or self._position > before[0]:
             self._quiet_since_s = time.monotonic()
         elif not self.is_finished and time.monotonic() - self._quiet_since_s >= QUIET_S:
-            self._end_without_end(path)
+            self._end_killed(path)
         if self._file is None:
             return
         for start, end in self._structure.lost[before[2] :]:
@@ -98,7 +98,7 @@ class GrowingLog(Closeable):
         if pictures_of_last_s is not None and chunks:
             since_ns = _newest_ns(self._file, chunks[-1]) - round(pictures_of_last_s * 1e9)
         for chunk in chunks:
-            yield list(self._shown_of(self._file, chunk, since_ns))
+            yield list(self._messages_of(self._file, chunk, since_ns))
 
     def _walk_on(self, file: McapFile) -> None:
         try:
@@ -106,18 +106,18 @@ class GrowingLog(Closeable):
         except LogError:
             if find_log(self.path).exists():
                 raise
-            why = "nothing more to show: it was deleted, or its recording ended and kept nothing"
+            why = "nothing more to show: the log was deleted, or its recording ended without a log"
             raise LogError(f"{final_path(self.path)}: {why}") from None
 
-    def _end_without_end(self, path: Path) -> None:
+    def _end_killed(self, path: Path) -> None:
         if self._file is None:
-            raise LogError(f"{path}: its recording was killed before anything of it was written")
-        state = "its recording was killed; everything complete is shown"
-        self.notice = f"{path}: {state}; `bc-log recover {shlex.quote(str(path))}` makes a log of it"
+            raise LogError(f"{path}: its recording was killed before it wrote anything")
+        state = "its recording was killed; all complete chunks are shown"
+        self.notice = f"{path}: {state}; `bc-log recover {shlex.quote(str(path))}` repairs it"
         if self._position < self._file.size:
             self._structure.lost.append((self._position, self._file.size))
 
-    def _opened(self) -> McapFile | None:
+    def _open(self) -> McapFile | None:
         path = find_log(self.path)
         if not _has_begun(path):
             return None
@@ -125,10 +125,10 @@ class GrowingLog(Closeable):
             return McapFile(path)
         except LogError:
             if find_log(self.path) != path:
-                return None  # it was just given its final name
+                return None  # it has just got its final name
             raise
 
-    def _shown_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[LiveMessage]:
+    def _messages_of(self, file: McapFile, chunk: Chunk, since_ns: int) -> Iterator[LiveMessage]:
         records = file.records(chunk)
         try:
             messages = list(file.messages(records))
@@ -140,15 +140,17 @@ class GrowingLog(Closeable):
             if channel is None:
                 self.skipped.add("messages whose description is lost", f"channel {stored.channel}")
             elif self._can_be_shown(channel):
-                shown = self._shown(stored, channel, records, since_ns)
-                if shown is not None:
-                    yield shown
+                message = self._message(stored, channel, records, since_ns)
+                if message is not None:
+                    yield message
 
     def _can_be_shown(self, channel: Channel) -> bool:
         kind = SHOWN.get(channel.topic)
         return kind is not None and self._structure.is_protobuf(channel.id, kind.DESCRIPTOR.full_name)
 
-    def _shown(self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int) -> LiveMessage | None:
+    def _message(
+        self, stored: StoredMessage, channel: Channel, records: bytes, since_ns: int
+    ) -> LiveMessage | None:
         name = f"{channel.topic} row {stored.sequence}"
         if channel.topic in PICTURE_TOPICS and stored.log_time_ns < since_ns:
             self.skipped.add(LATE, name)
@@ -159,7 +161,7 @@ class GrowingLog(Closeable):
             self.skipped.add("messages that cannot be decoded", name)
             return None
         if stored.log_time_ns > LAST_TIME_NS:
-            self.skipped.add("messages of a time that cannot be", name)
+            self.skipped.add("messages with an impossible time", name)
             return None
         return LiveMessage(channel.topic, stored.sequence, stored.log_time_ns, content)
 
@@ -168,12 +170,12 @@ def _newest_ns(file: McapFile, chunk: Chunk) -> int:
     try:
         return max((stored.log_time_ns for stored in file.messages(file.records(chunk))), default=0)
     except LogError:
-        return 0  # what is damaged is counted where it is read
+        return 0  # `_messages_of` counts the damaged chunk
 
 
 def _has_begun(path: Path) -> bool:
-    """A log that has just been created is empty until its first chunk is written."""
+    """False for an empty file: a new log is empty until its first chunk."""
     try:
         return not path.is_file() or path.stat().st_size >= len(MAGIC)
     except OSError:
-        return True  # opening it raises the reason
+        return True  # opening the file raises the reason

@@ -1,4 +1,4 @@
-"""Messages of a log as they come, turned into the entities and curves that playback makes of a whole log."""
+"""Turn new messages of a growing log into the same entities and curves that playback makes of a whole log."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from viz.playback.log_chunks import picture_columns
 from viz.timelines import Times, log_clock
 
 SHOWN: Final[Mapping[str, type[ProtobufMessage]]] = {name: topic.message.load() for name, topic in TOPICS.items()}
-"""The topics that are shown, and what their messages must be."""
+"""The shown topics, and the types of their messages."""
 
 
 @dataclass(frozen=True)
 class LiveMessage:
-    """A message to show; `content` is of the type that SHOWN has for its topic."""
+    """A message to show. `content` has the type of `SHOWN` for its topic."""
 
     topic: str
     row: int
@@ -32,7 +32,7 @@ class LiveMessage:
 
 
 class LiveMessageSender:
-    """Sends messages to a recording, and a layout whenever there is something new to lay out."""
+    """Sends messages to a recording, and a new layout when a new topic appears."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
@@ -49,19 +49,19 @@ class LiveMessageSender:
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
         self._topics |= by_topic.keys()
-        if not self._topics <= PICTURE_TOPICS:  # those come first; what belongs to them comes within a second
+        if not self._topics <= PICTURE_TOPICS:  # pictures come first; their other topics come within a second
             self._lay_out()
         for topic in sorted(by_topic, key=lambda topic: topic not in PICTURE_TOPICS):
-            of_topic = by_topic[topic]
-            time_ns = np.array([message.log_time_ns for message in of_topic], np.int64)
-            contents = [message.content for message in of_topic]
+            topic_messages = by_topic[topic]
+            time_ns = np.array([message.log_time_ns for message in topic_messages], np.int64)
+            contents = [message.content for message in topic_messages]
             if TOPICS[topic].is_picture:
                 self._send_pictures(topic, time_ns, contents)
             else:
                 self._drawing.send(topic, time_ns, contents)
 
     def finish(self) -> None:
-        """Send what is drawn of all messages until now: histogram and path. To be called now and then."""
+        """Send the drawings of all messages until now: histogram and path. Call it from time to time."""
         self._lay_out()
         self._drawing.finish()
 
@@ -71,7 +71,7 @@ class LiveMessageSender:
     def _lay_out(self) -> None:
         new = self._topics - self._laid_out
         if new - {EVENTS} or (new and not self._laid_out):
-            # The first event may come late, and must not undo the user's changes of the layout.
+            # A late first event must not reset the user's changes of the layout: the layout always has events.
             self._recording.send_blueprint(log_layout({*self._topics, EVENTS}, grows=True))
             self._laid_out |= new
 

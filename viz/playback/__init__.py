@@ -1,1 +1,1 @@
-"""Logs as Rerun recordings: pictures, curves, predictions, and the layout that fits them."""
+"""Logs as Rerun recordings: pictures, curves, predictions and their layout."""

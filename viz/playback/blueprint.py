@@ -1,4 +1,4 @@
-"""The layout of a log in the viewer. It is code, because it is a function of the log's topics."""
+"""The layout of a log in the viewer, a function of the log's topics."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from recorder.topics import (
 from viz.timelines import SINCE_START
 
 AROUND_S: Final = 1.0
-"""Seconds before and after the requested moment that are played where the time cursor cannot be set."""
+"""Seconds before and after the requested moment that play in a loop if the time cursor cannot be set."""
 
 CENTER: Final = camera_topic("center")
 ERRORS: Final = "/error_deg"
@@ -43,7 +43,7 @@ DRIVEN_SPEED: Final = f"{SPEED.path}/driven"
 Color = tuple[int, int, int]
 Part = rrb.View | rrb.Container
 Shared = tuple[Part, float]
-"""A part, and its share of the height."""
+"""A part of the layout and its share of the height."""
 
 COLORS: Final[Mapping[ColorName, Color]] = {
     "blue": (120, 160, 255),
@@ -66,12 +66,12 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
 """Names and colours of the drivers."""
 
 LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)
-"""Colours of logs beside each other."""
+"""Colours of logs that are compared."""
 
 DRIVER_VIEW: Final = "who drives"
 ERROR: Final = "error in degrees: predicted - recorded"
 _DRIVER_SHARE: Final = 0.9  # of the height
-_FRAME_SHARE: Final = 3.0  # of the height, where logs are beside each other
+_FRAME_SHARE: Final = 3.0  # of the height, in a comparison
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Curve:
 
 
 ARCS: Final[Mapping[str, float]] = {"/steering/recorded": 2.5, "/steering/predicted": 2.0, "/steering/sent": 1.5}
-"""Steering that is also drawn over the frame, and half its width there."""
+"""Steering that is also drawn over the frame: curve and half the line's width."""
 
 
 def log_layout(
@@ -93,10 +93,10 @@ def log_layout(
     grows: bool = False,
     at_s: float | None = None,
 ) -> rrb.Blueprint:
-    """The layout for a log with these topics; it has no view for what the log does not have.
+    """The layout for a log with these topics, without views for missing topics.
 
-    `runs` are the names of the runs with predictions beside it, `attention` of those with attention maps. A log
-    that grows is followed; another one opens at its start, or `at_s` seconds after it.
+    `runs` are the names of runs with predictions for the log, `attention` of runs with attention maps. If the log
+    grows, the layout follows its end; else it opens at the start, or `at_s` seconds after it.
     """
     attention_views = [
         rrb.Spatial2DView(origin=attention_entity(run), name=f"where {run} looks") for run in attention
@@ -111,9 +111,9 @@ def log_layout(
 def comparison_layout(
     logs: Mapping[str, Collection[str]], timeline: str, *, at_s: float | None = None
 ) -> rrb.Blueprint:
-    """The layout for several logs beside each other, on `timeline`: the topics of each, by its name. It opens at
-    their start, or `at_s` seconds after it."""
-    columns = [_of_one(name, topics) for name, topics in logs.items()]
+    """The layout for several logs side by side on `timeline`. `logs` has the topics of each log by its name. It
+    opens at their start, or `at_s` seconds after it."""
+    columns = [_column(name, topics) for name, topics in logs.items()]
     together: list[Part] = []
     with_states = [name for name, topics in logs.items() if _has_lines(SPEED, topics)]
     with_poses = [name for name, topics in logs.items() if POSE in topics]
@@ -132,12 +132,12 @@ def attention_entity(run: str) -> str:
 
 
 def log_entity(name: str) -> str:
-    """The entity above all those of one of several logs."""
+    """The parent entity of one of several logs."""
     return f"/{entity_part(name)}"
 
 
 def entity_part(name: str) -> str:
-    """Any name as a part of an entity's path."""
+    """Escape a name for use as a part of an entity's path."""
     return rr.escape_entity_path_part(name)
 
 
@@ -168,7 +168,7 @@ def _plots(topics: Collection[str], *, has_errors: bool) -> list[Shared]:
 
 
 def _driving(topics: Collection[str], at: str, prefix: str, *, has_steering: bool) -> list[Shared]:
-    """The views of the driver and the steering; entities begin with `at`, names of views with `of`."""
+    """The views of the driver and the steering. Entities begin with `at`, names of views with `prefix`."""
     plots: list[Shared] = []
     if PILOT_COMMAND in topics:
         plots.append((rrb.StateTimelineView(origin=at + DRIVER, name=prefix + DRIVER_VIEW), _DRIVER_SHARE))
@@ -190,7 +190,7 @@ def _view(picture: Topic, at: str = "", prefix: str = "") -> rrb.View:
     return rrb.Spatial2DView(origin=at + picture.name, name=prefix + picture.title)
 
 
-def _of_one(name: str, topics: Collection[str]) -> rrb.Container:
+def _column(name: str, topics: Collection[str]) -> rrb.Container:
     """The column of one of several logs."""
     at, prefix = log_entity(name), f"{name}: "
     frames: list[Part] = []
@@ -222,7 +222,7 @@ def _side_by_side(parts: Sequence[Part | None], shares: Sequence[float]) -> Part
 
 
 def _time_panel(timeline: str, *, grows: bool = False, at_s: float | None = None) -> rrb.TimePanel:
-    """The time panel. A layout cannot place the time cursor: with `at_s`, the time around it plays in a loop."""
+    """The time panel. A layout cannot set the time cursor: with `at_s`, the time around `at_s` plays in a loop."""
     if at_s is None:
         return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following" if grows else "paused")
     around = AbsoluteTimeRange(min=round(1e9 * max(0.0, at_s - AROUND_S)), max=round(1e9 * (at_s + AROUND_S)))

@@ -1,4 +1,4 @@
-"""Several logs beside each other on one time line: by time since each one's start, or by place along the track."""
+"""Several logs side by side on one time line: by time since each log's start, or by place along the track."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ from viz.timelines import SINCE_START, Clock, Times, start_clock
 By = Literal["time", "place"]
 
 PLACE: Final = "place_cm"
-"""Centimetres along the path of the first log: of Rerun's time lines, only whole numbers may be no times."""
+"""Centimetres along the path of the first log. Rerun's time lines without time units need whole numbers."""
 
 MAX_LOGS: Final = 6
-_LEFT_OUT: Final = "CoordinateFrame:frame"  # names the entity that a picture would have if its log were alone
+_LEFT_OUT: Final = "CoordinateFrame:frame"  # it names a picture's entity without the prefix of its log
 Path2D = NDArray[np.float64]
 
 FAR_M: Final = 10.0
-"""A path whose median distance is larger is on another road."""
+"""A path with a larger median distance is on another road."""
 
-_AHEAD_M: Final = 40.0  # how far it is looked for the next place: a road may come near itself farther on
+_AHEAD_M: Final = 40.0  # range of the search for the next place: a road may come near itself farther ahead
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class _ComparedLog:
 def prepare_comparison(
     paths: Sequence[Path], by: By = "time", at_s: float | None = None
 ) -> Iterator[PreparedRecording]:
-    """The logs at `paths` beside each other; by time, it opens `at_s` seconds after their starts.
+    """Prepare the logs at `paths` side by side. By time, the recording opens `at_s` seconds after their starts.
 
-    Raises LogError if one cannot be read, UserError if there are too many, or they cannot be compared by place.
+    Raises LogError if a log cannot be read; UserError for too many logs, or if they cannot be compared by place.
     """
     if len(paths) > MAX_LOGS:
         raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
@@ -91,7 +91,7 @@ def prepare_comparison(
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each log: its file's, and its folder's or a number where two would have the same."""
+    """A name for each log: its file's name; for equal names also its folder's, or a number."""
     names: list[str] = []
     stems = [path.name.removesuffix(".mcap") for path in paths]
     for path, stem in zip(paths, stems, strict=True):
@@ -105,7 +105,8 @@ def names_of(paths: Sequence[Path]) -> list[str]:
 
 
 def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clock]:
-    """Raises UserError if there is a log without poses, or one of another track."""
+    """Clocks by place along the first log's path. Raises UserError for a log without poses, or of another
+    track."""
     ways = [_way(path, messages) for path, messages in zip(paths, drawn, strict=True)]
     first = ways[0][1]
     clocks = []
@@ -131,7 +132,7 @@ def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
     is_known = np.isfinite(way).all(axis=1)
     order = np.argsort(time_ns[is_known], kind="stable")
     if not is_known.any():
-        raise UserError(f"{path}: has no poses, so no place: compare by time, without --by place")
+        raise UserError(f"{path}: has no poses, so it has no place: compare by time, without --by place")
     return time_ns[is_known][order], way[is_known][order]
 
 
@@ -153,7 +154,7 @@ def _send(
 
 
 def _moved(compared: _ComparedLog, skipped: Skipped, every: int) -> Generator[Chunk]:
-    """The chunks of a log that are not drawn, under its own entity and on the common time line."""
+    """The chunks of topics that are not drawn, under the log's entity and on the common time line."""
     all_chunks = read_chunks(compared.log, drawn_topics(compared.log), compared.clock, skipped, _LEFT_OUT, every)
     with contextlib.closing(all_chunks) as chunks:
         for chunk in chunks:
@@ -162,10 +163,10 @@ def _moved(compared: _ComparedLog, skipped: Skipped, every: int) -> Generator[Ch
 
 
 def distances_along(path: Path2D, other: Path2D) -> NDArray[np.float64] | None:
-    """Distances along `path` (N, 2) of the points of `other` (M, 2), in m: each at the nearest point of `path` not
-    behind the one before. None if `other` is on another road.
+    """Distances (M,) in m along `path` (N, 2) of the points of `other` (M, 2): each at the nearest point of `path`
+    that is not behind the point before. None if `other` is on another road.
 
-    Beyond the end of `path`, `other` is measured along itself, and may leave the road.
+    Beyond the end of `path`, distances are along `other`, which may leave the road.
     """
     lengths = _lengths(path)
     start, off_m = _first(path, lengths, other[0])
@@ -186,12 +187,13 @@ def distances_along(path: Path2D, other: Path2D) -> NDArray[np.float64] | None:
 
 
 def _lengths(path: Path2D) -> NDArray[np.float64]:
-    """Distances from the beginning of `path` to each of its points, in m."""
+    """Distances in m from the beginning of `path` to each point."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
 
 
 def _first(path: Path2D, lengths: NDArray[np.float64], point: Path2D) -> tuple[int, float]:
-    """The earliest place about as near as the nearest: a lap ends where it began. Its number and distance."""
+    """The number and the distance of the first point of `path` about as near as the nearest: a lap ends where it
+    began."""
     distances = np.hypot(*(path - point).T)
     near = distances <= 1.5 * distances.min() + 2.0
     begin = int(np.argmax(near))

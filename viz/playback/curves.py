@@ -1,4 +1,4 @@
-"""Drawings of a log beside its pictures: curves, arcs over the frame, histogram, path, driver, events."""
+"""Drawings of a log: curves, arcs over the frame, histogram, path, driver, events."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ from viz.timelines import Clock, Times
 
 Values = NDArray[np.float64]
 Numbers = Mapping[str, Values]
-"""Fields of N messages: values (N,) of each, by its name."""
+"""Values (N,) of N messages, by the name of the field."""
 
 _FRAME: Final = (320, 160)  # width and height of the simulator's pictures
-_ALONG: Final = np.linspace(0, 1, 9)  # along an arc
+_ALONG: Final = np.linspace(0, 1, 9)  # positions along an arc
 _STRIPS: Final = pa.list_(
     pa.field("item", pa.list_(pa.field("item", pa.float32(), nullable=False), 2), nullable=False)
 )
 _CAR_M: Final = 8.0  # length of the arrow that is the car, seen from above
 _PATH_COLOR: Final = (110, 150, 110)
-MAX_PATH_POINTS: Final = 2000  # of longer paths, every second one
-# As Rerun's MCAP reader calls them.
+MAX_PATH_POINTS: Final = 2000  # a longer path keeps every second point
+# the names of Rerun's MCAP reader
 _LEVELS: Final = {
     LogMessage.Level.DEBUG: "DEBUG",
     LogMessage.Level.INFO: "INFO",
@@ -62,7 +62,7 @@ _RUN_COLORS: Final = (
 
 
 class Drawing:
-    """Draws messages in a recording, a row a message: all of a log at once, or as they come.
+    """Draws messages in a recording, one row a message: a whole log at once, or new messages of a growing log.
 
     Call `finish` at the end, or from time to time, for the drawings of all messages until then.
     """
@@ -75,8 +75,8 @@ class Drawing:
         name: str = "",
         color: tuple[int, int, int] | None = None,
     ) -> None:
-        """Entities get `prefix` before their paths. Where several logs are shown, their speeds share a view, and
-        so do their paths: there, `name` and `color` tell them apart."""
+        """Entities get `prefix` before their paths. If several logs are shown, their speeds share a view, and
+        their paths too: `name` and `color` distinguish them there."""
         self.picture_size = _FRAME
         self._recording = recording
         self._prefix = prefix
@@ -90,7 +90,7 @@ class Drawing:
         self._has_new = False
 
     def send(self, topic: str, time_ns: Times, contents: Sequence[Any]) -> None:
-        """Messages on one topic: log times (N,) in ns, and N contents."""
+        """Draw messages of one topic: log times (N,) in ns, and N contents."""
         if topic == POSE:
             self._poses(time_ns, contents)
         elif topic == EVENTS:
@@ -99,7 +99,7 @@ class Drawing:
             self.send_numbers(topic, time_ns, _numbers(topic, contents))
 
     def send_numbers(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
-        """Messages on one topic: log times (N,) in ns, and N values of each of its `number_fields`."""
+        """Draw messages of one topic: log times (N,) in ns, and values (N,) of each of its `number_fields`."""
         for curve, curve_ns, values in curve_values(topic, time_ns, numbers):
             self.curve(curve, curve_ns, values)
             if curve.entity in ARCS:
@@ -110,7 +110,7 @@ class Drawing:
             self._drivers(time_ns, numbers["driver"].astype(np.int64))
 
     def curve(self, curve: Curve, time_ns: Times, values: Values) -> None:
-        """Draw a line of a plot, also one that is not of the log: log times (N,) in ns, values (N,)."""
+        """Draw a curve, which need not come from the log: log times (N,) in ns, values (N,)."""
         entity = self._prefix + curve.entity
         if self._is_new(entity):
             name, color = curve.name, curve.color
@@ -121,7 +121,7 @@ class Drawing:
         self._send(entity, time_ns, rr.Scalars.columns(scalars=values))
 
     def arcs(self, curve: Curve, time_ns: Times, values: Values) -> None:
-        """Steering as arcs over the frame: log times (N,) in ns, steering (N,), -1..1."""
+        """Draw steering as arcs over the frame: log times (N,) in ns, steering (N,), -1..1."""
         entity = self._prefix + CENTER + curve.entity
         if self._is_new(entity):
             width = ARCS.get(curve.entity, 1.5)
@@ -130,7 +130,7 @@ class Drawing:
         self._send(entity, time_ns, rr.LineStrips2D.columns(strips=strips(arcs(values, self.picture_size))))
 
     def finish(self) -> None:
-        """Histogram and path, as far as they have come: they hold for all times."""
+        """Draw histogram and path of all messages until now. They are shown at all times."""
         if not self._has_new:
             return
         self._has_new = False
@@ -196,14 +196,14 @@ class Drawing:
 
 
 class Trail:
-    """The points of a driven path, as far apart as needed for it to have at most `MAX_PATH_POINTS`."""
+    """The points of a driven path, thinned out to at most `MAX_PATH_POINTS`."""
 
     def __init__(self) -> None:
         self.points: list[tuple[float, float]] = []
         self._apart_m = 1.0
 
     def add(self, points: NDArray[np.float64]) -> None:
-        """Points (N, 2) in m, in the order in which they were driven."""
+        """Add points (N, 2) in m, in the order in which they were driven."""
         for x, y in points.tolist():
             if not self.points or math.dist(self.points[-1], (x, y)) >= self._apart_m:
                 self.points.append((x, y))
@@ -213,14 +213,14 @@ class Trail:
 
 
 def number_fields(topic: str) -> list[str]:
-    """The fields of a topic's messages that are drawn as numbers; none where something else is drawn of it."""
+    """The fields of a topic's messages that are drawn as numbers; empty for a topic with other drawings."""
     others = ("driver",) if topic == PILOT_COMMAND else ()
     return list(dict.fromkeys((*(line.field for line in TOPICS[topic].lines), *others)))
 
 
 def curve_values(topic: str, time_ns: Times, numbers: Numbers) -> Iterator[tuple[Curve, Times, Values]]:
-    """The lines that are drawn of N messages on `topic`: which, log times and values; a field that a message may
-    lack has no value there."""
+    """The curves of N messages of `topic`, each with log times and values. For optional fields, messages without
+    the field are left out."""
     for line in TOPICS[topic].lines:
         curve, values = Curve(line.path, line.label, COLORS[line.color]), numbers[line.field]
         if not line.is_optional:
@@ -232,8 +232,8 @@ def curve_values(topic: str, time_ns: Times, numbers: Numbers) -> Iterator[tuple
 
 
 def prediction_curves(predictions: LogPredictions, first: int = 0) -> Iterator[tuple[Curve, Times, Values]]:
-    """The predicted steering of each run and its error, where any was recorded: the curve, log times (N,) in ns,
-    values (N,). `first` is the first run's number, which gives its colour."""
+    """The curves of the predicted steering of each run and, where steering was recorded, of its error: curve, log
+    times (N,) in ns, values (N,). `first` is the number of the first run, which determines its colour."""
     is_recorded = np.isfinite(predictions.recorded)
     for number, (run, steering) in enumerate(predictions.predicted.items(), first):
         color, part = _RUN_COLORS[number % len(_RUN_COLORS)], entity_part(run)
@@ -247,7 +247,7 @@ def prediction_curves(predictions: LogPredictions, first: int = 0) -> Iterator[t
 
 
 def _numbers(topic: str, contents: Sequence[Any]) -> Numbers:
-    """The fields `number_fields` of N messages; NaN where one lacks it."""
+    """The fields `number_fields` of N messages; NaN where a message lacks an optional field."""
     optional = {line.field for line in TOPICS[topic].lines if line.is_optional}
 
     def values(field: str) -> Iterator[float]:
@@ -259,9 +259,9 @@ def _numbers(topic: str, contents: Sequence[Any]) -> Numbers:
 
 
 def arcs(steering: Values, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Arcs along which a car with this steering (N,) goes, over its picture of `size` (width, height): N times
-    nine points x, y in pixels. Not to scale: from the middle of the bottom, half a picture up, aside by as much as
-    half its width at full lock."""
+    """Arcs that show steering (N,) over a picture of `size` (width, height): N times nine points x, y in pixels.
+    They are not to scale: an arc begins at the middle of the bottom, and ends half a picture higher, at full lock
+    almost half a picture to the side."""
     width, height = size
     bend = np.clip(np.nan_to_num(steering), -1.0, 1.0)[:, None] * (_ALONG**2)
     x = width * (0.5 + 0.45 * bend)
@@ -270,14 +270,14 @@ def arcs(steering: Values, size: tuple[int, int]) -> NDArray[np.float32]:
 
 
 def strips(points: NDArray[np.float32]) -> pa.Array:
-    """Lines of M points each (N, M, 2) as Rerun stores them; it would convert them one by one."""
+    """N lines of M points (N, M, 2) in Rerun's storage format; Rerun itself would convert them one by one."""
     inner = pa.FixedSizeListArray.from_arrays(pa.array(points.reshape(-1)), type=_STRIPS.value_type)
     offsets = np.arange(0, len(points) * points.shape[1] + 1, points.shape[1], dtype=np.int32)
     return pa.ListArray.from_arrays(pa.array(offsets), inner, type=_STRIPS)
 
 
 def frame_size(picture: bytes) -> tuple[int, int] | None:
-    """Width and height of a JPEG or PNG; None if it is neither, or too large to be shown."""
+    """Width and height of a JPEG or PNG; None for another format, or if the picture is too large to show."""
     return None if decoding_problem(picture) else width_and_height(picture)
 
 
@@ -290,7 +290,7 @@ def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
 
 
 def _places_and_turns(messages: Sequence[Any]) -> Values:
-    """Positions in m and attitudes as quaternions of N poses: x, y, z, x, y, z, w (N, 7)."""
+    """Positions in m and attitudes as quaternions of N poses: x, y, z, qx, qy, qz, qw (N, 7)."""
     places = np.empty((len(messages), 7))
     for row, message in zip(places, messages, strict=True):
         at, turn = message.pose.position, message.pose.orientation

@@ -1,8 +1,9 @@
 """The part of a log that is not drawn, as chunks of a Rerun recording: pictures, and topics that only Rerun knows.
 
-Rerun's reader compares no CRC, and may not end where a log is damaged. Of a log of ours it is therefore given the
-summary, and a copy of the topics that nothing here sends; pictures are sent chunk by chunk of the file, each read
-once, when its CRC is compared. A log of another program it reads by itself: all of that was read for its index.
+Rerun's reader compares no CRCs, and may never end on a damaged log. For the toolkit's own logs, it therefore reads
+only the summary, and a copy of the topics that this module does not send. This module sends the pictures chunk by
+chunk; each chunk is read once, and its CRC is compared. For logs of other programs, Rerun's reader reads the log
+itself: its index has already read all of it.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.topics import COMPRESSED_IMAGE
 from viz.timelines import Clock, on_clock
 
-_SENT_BYTES: Final = 1 << 18  # of pictures that are sent at once: of larger parts, a viewer needs more memory
-_OF_SUMMARY: Final = ("metadata", "recording_info", "schema", "stats")  # decoders of what is no message
+_SENT_BYTES: Final = 1 << 18  # of pictures sent at once: larger parts need more memory in the viewer
+_OF_SUMMARY: Final = ("metadata", "recording_info", "schema", "stats")  # decoders of records other than messages
 _NOT_OF_SUMMARY: Final = tuple(name for name in McapReader.available_decoders() if name not in _OF_SUMMARY)
 _BLOB: Final = pa.list_(pa.field("item", pa.uint8(), nullable=False))
 
@@ -40,10 +41,11 @@ _BLOB: Final = pa.list_(pa.field("item", pa.uint8(), nullable=False))
 def read_chunks(
     log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str = "", every: int = 1
 ) -> Generator[Chunk]:
-    """All of a log but the topics `drawn`, on the time lines of `clock`, without the component `left_out`; with a
-    progress bar. Of a log of ours, the pictures of one row of `every`, and of the last one.
+    """The chunks of all topics of a log except `drawn`, on the time lines of `clock`, without the component
+    `left_out`. Shows a progress bar. For the toolkit's own logs: the pictures of every `every`-th row, and of the
+    last row.
 
-    Pictures that cannot be read are added to `skipped`. Raises LogError where anything else is damaged.
+    Pictures that cannot be read are added to `skipped`. Raises LogError if anything else is damaged.
     """
     others = sum(count for topic, count in log.counts.items() if topic not in drawn)
     with progress_bar() as bar:
@@ -79,8 +81,8 @@ def _chunks(
 
 
 def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
-    """The chunks that Rerun's reader makes of metadata, and of the summary of a finished log, whose CRC was
-    compared when it was opened. No chunk of the log is read: no message has this time."""
+    """The chunks that Rerun's reader makes of the metadata and the summary of a finished log. Opening the log has
+    compared the CRC of the summary. The time range makes Rerun skip all chunks of the log."""
     reader = McapReader(
         path,
         decoders=_OF_SUMMARY,
@@ -92,7 +94,7 @@ def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
 
 
 def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
-    """The chunks that Rerun's reader makes of attachments and of the topics that are not left out."""
+    """The chunks that Rerun's reader makes of attachments and of all topics except `left_out`."""
     topics = {channel.topic for channel in log.channels.values()}.difference(left_out)
     if not topics and not log.attachments:
         return
@@ -109,7 +111,7 @@ def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
 
 
 def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped, every: int) -> Iterator[Chunk]:
-    """Pictures in the order of the file, some of each topic at a time."""
+    """Chunks of pictures in the order of the file, with several pictures of a topic each."""
     waiting: dict[str, list[tuple[int, CompressedImage]]] = {}
     waiting_bytes = 0
     for chunk in _chunks_with(log, topics):
@@ -147,7 +149,7 @@ def _columns(by_topic: Mapping[str, Sequence[tuple[int, CompressedImage]]], cloc
 
 
 def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Skipped) -> None:
-    """Name the pictures that lie in a damaged chunk, by the log's own index of messages."""
+    """Add the pictures in a damaged chunk to `skipped`, by the log's index of messages."""
     reason = damaged_pictures(log.path)
     for topic in topics:
         pictures = log.pictures(topic)
@@ -157,7 +159,7 @@ def _add_damaged(log: Log, topics: Collection[str], chunk: LogChunk, skipped: Sk
 
 
 def _chunks_with(log: Log, topics: Collection[str]) -> list[LogChunk]:
-    """The chunks that have a message on one of these topics, as far as the summary lists them."""
+    """The chunks with a message on one of these topics, and those whose channels the summary does not list."""
     numbers = {number for number, channel in log.channels.items() if channel.topic in topics}
     return [chunk for chunk in log.chunks if chunk.channels is None or chunk.channels & numbers]
 
@@ -167,14 +169,14 @@ def _exactly(topics: Collection[str]) -> list[str]:
 
 
 def picture_columns(encoded: Sequence[bytes], formats: Sequence[str]) -> rr.ComponentColumnList:
-    """Columns with one picture a row, byte for byte; `formats` are "jpeg", "png" and such. Their coordinate frame
-    is the one that Rerun gives every entity."""
+    """Columns with one picture a row, byte for byte; `formats` are "jpeg", "png" and so on. The pictures have
+    Rerun's default coordinate frame of their entity."""
     media_types = [f"image/{name or 'jpeg'}" for name in formats]
     return rr.EncodedImage.columns(blob=_blobs(encoded), media_type=media_types)
 
 
 def _blobs(encoded: Sequence[bytes]) -> pa.Array:
-    """Bytes as Rerun stores them; it would convert them one by one."""
+    """Bytes in Rerun's storage format; Rerun itself would convert them one by one."""
     ends = np.cumsum([0, *map(len, encoded)])
     values = pa.Array.from_buffers(pa.uint8(), int(ends[-1]), [None, pa.py_buffer(b"".join(encoded))])
     return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), values, type=_BLOB)

@@ -24,24 +24,25 @@ from viz.timelines import Clock, Times
 
 QUALITY: Final = 90  # of the JPEGs, some 7 KB each
 
-_COLOR: Final = np.array((230, 40, 255), np.float32)  # BGR: no road has it
-_MOST: Final = 0.8  # how much of it covers the picture where the network looks most
+_COLOR: Final = np.array((230, 40, 255), np.float32)  # BGR; no road has this colour
+_MAX_COVER: Final = 0.8  # share of the colour where the map is 1
 _DIMMED: Final = 0.8  # the picture's brightness
 
 
 def prepare_predictions(
     path: Path,
     runs: Sequence[Path],
-    on_found: Callable[[LogPredictions], object],
+    on_predictions: Callable[[LogPredictions], object],
     *,
     attention: bool = False,
     at_s: float | None = None,
 ) -> AbstractContextManager[PreparedRecording]:
-    """Prepare the log at `path` with predictions of the networks of `runs`, made when it is sent: steering,
-    errors, the worst moments as events, and with `attention` their attention maps. `on_found` receives them.
+    """Prepare the log at `path` with predictions of the networks of `runs`: steering, errors, the worst moments as
+    events, and with `attention` the attention maps. Sending the recording makes the predictions; then
+    `on_predictions` receives them.
 
     `at_s` is as in `prepare_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
-    sending raises what `predict_log` does.
+    sending raises what `predict_log` raises.
     """
 
     def send(recording: rr.RecordingStream, drawing: Drawing, flush: Callable[[], object]) -> None:
@@ -51,7 +52,7 @@ def prepare_predictions(
         predictions = predict_log(path, runs, on_attention if attention else None, flush)
         _draw(predictions, recording, drawing)
         flush()
-        on_found(predictions)
+        on_predictions(predictions)
 
     return prepare_log(path, PredictionLayer(run_names(runs), attention, send), at_s)
 
@@ -71,9 +72,9 @@ def _draw(predictions: LogPredictions, recording: rr.RecordingStream, drawing: D
 
 
 def overlay(crops: Image, maps: NDArray[np.float32]) -> Image:
-    """Crops (N, 128, 128, 3) BGR and maps (N, 128, 128), 0..1, as pictures (N, 128, 128, 3): the crop, dimmed, and
-    the more of a colour the higher the map."""
-    share = _MOST * maps[..., None]
+    """Draw maps (N, height, width), 0..1, over crops (N, height, width, 3) BGR: the crop is dimmed, and covered
+    with more of a colour the higher the map."""
+    share = _MAX_COVER * maps[..., None]
     blended = crops * (_DIMMED * (1 - share)) + _COLOR * share
     return blended.astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""Predictions of networks for a recorded log, kept as a log of its own, with a topic for each run."""
+"""Store predictions of networks for a recorded log in a new log, with a topic for each run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from recorder.topics import PREDICTIONS
 
 
 def write_predictions(predictions: LogPredictions, path: Path, *, overwrite: bool = False) -> None:
-    """Keep predictions as a new log: a topic for each run, and the worst moments as events.
+    """Write predictions to a new log: a topic for each run, and the worst moments as events.
 
     Raises UserError if `path` exists and may not be overwritten, or cannot be written.
     """
@@ -43,7 +43,7 @@ def prediction_topics(log: Log) -> list[str]:
 
 
 def read_predictions(log: Log) -> Iterator[LogPredictions]:
-    """The predictions that an open log holds, each run's by itself. Raises LogError for a damaged log."""
+    """The predictions in an open log, one `LogPredictions` for each run. Raises LogError for a damaged log."""
     for topic in prediction_topics(log):
         run = topic.removeprefix(PREDICTIONS)
         rows, times_ns, recorded, predicted = array("q"), array("q"), array("d"), array("d")

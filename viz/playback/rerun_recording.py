@@ -1,4 +1,4 @@
-"""A log as a Rerun recording: first its drawings, then its pictures and all else."""
+"""A log as a Rerun recording: first its drawings, then its pictures and all other topics."""
 
 from __future__ import annotations
 
@@ -39,25 +39,25 @@ from viz.playback.prediction_log import prediction_topics, read_predictions
 from viz.rrd_file import rrd_file
 from viz.timelines import Times, log_clock
 
-_ROWS_AT_ONCE: Final = 500  # pictures on their way to a viewer, some megabytes: more would only pile up here
+_ROWS_AT_ONCE: Final = 500  # unsent rows, some megabytes of pictures: more would only take memory
 
 
 @dataclass(frozen=True)
 class PredictionLayer:
-    """The predictions of networks, shown beside a log."""
+    """Predictions of networks that are shown with a log."""
 
-    runs: Sequence[str]  # their names
-    attention: bool  # shown as well
+    runs: Sequence[str]  # names of the runs
+    attention: bool  # with attention maps
     send: Callable[[rr.RecordingStream, Drawing, Callable[[], object]], object]
-    """Sends to a recording, or draws there. The third argument is the second of `PreparedRecording.send`."""
+    """Sends or draws the predictions in a recording. The third argument is `flush` of `PreparedRecording.send`."""
 
 
 class DrawnMessages:
-    """The messages of a log that are drawn, without those of another program on topics of the same names."""
+    """The messages of a log that are drawn, without messages of other types on topics of the same names."""
 
     def __init__(self, log: Log) -> None:
-        """Reads all numbers. Raises LogError where the log is damaged."""
-        log.messages(EVENTS)  # the index comes first, with a bar of its own
+        """Reads all numbers. Raises LogError if the log is damaged."""
+        log.messages(EVENTS)  # first the index, which shows its own progress bar
         self._log = log
         self.numbers: dict[str, tuple[Times, Numbers]] = {}
         """Log times (N,) in ns and values (N,) of each field, by topic."""
@@ -67,7 +67,7 @@ class DrawnMessages:
                 times = table["log_time_ns"].to_numpy()
                 self.numbers[topic] = times, {name: table[name].to_numpy() for name in fields}
         self.picture_size = _picture_size(log)
-        """Width and height of the centre camera's first picture that can be read."""
+        """Width and height of the centre camera's first readable picture."""
 
     @cached_property
     def others(self) -> dict[str, tuple[Times, list[Any]]]:
@@ -85,26 +85,25 @@ class DrawnMessages:
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """A recording that is ready to be sent: its drawings were read, and are sound; pictures are checked as they
-    are sent."""
+    """A recording that is ready to send: its drawings are read and checked; pictures are checked when sent."""
 
     name: str
     layout: rrb.Blueprint
     send: Callable[[rr.RecordingStream, Callable[[], object], int], object]
-    """Sends to a recording. The second argument waits until what was sent is taken, and may raise to end it. Of so
-    many rows as the third argument is, the pictures of one are sent."""
+    """Sends to a recording. The second argument, `flush`, waits until all data is received, and may raise an
+    exception to stop. The third argument is `every` of `read_chunks`."""
     notices: Sequence[str]  # of logs that were never finished
-    recording_id: str | None = None  # in a file: the same log, the same recording
-    at_s: float | None = None  # where it opens, in seconds since the start; None: at the start
-    skipped: Skipped = field(default_factory=Skipped)  # filled while it is sent
+    recording_id: str | None = None  # in a file: equal for equal logs
+    at_s: float | None = None  # the recording opens this many seconds after its start; None: at the start
+    skipped: Skipped = field(default_factory=Skipped)  # filled during sending
 
 
 def save_rrd(path: Path, rrd: Path, *, overwrite: bool = False) -> str:
     """Write the log at `path`, its curves and its layout to the file `rrd`, without a window.
 
-    Of a log that was never finished, the whole chunks are taken. Returns the log's notice, empty for a finished
-    one. Raises LogError if the log cannot be read, UserError if `rrd` exists and may not be overwritten, or where
-    the disk is full.
+    An unfinished log is written up to its last complete chunk. Returns the notices about the log; empty for a
+    sound, finished log. Raises LogError if the log cannot be read; UserError if `rrd` exists and may not be
+    overwritten, or if the disk is full.
     """
     refuse_existing(rrd, overwrite)
     with prepare_log(path) as prepared:
@@ -124,14 +123,14 @@ def save_prepared(prepared: PreparedRecording, rrd: Path, *, overwrite: bool) ->
 def prepare_log(
     path: Path, predictions: PredictionLayer | None = None, at_s: float | None = None
 ) -> Iterator[PreparedRecording]:
-    """Prepare the log at `path`: curves are sent first, then its pictures, then predictions. It opens `at_s`
-    seconds after its start.
+    """Prepare the log at `path`: first the curves are sent, then the pictures, then predictions. The recording
+    opens `at_s` seconds after its start.
 
-    Raises LogError for a bad log, UserError if it is shorter than `at_s`.
+    Raises LogError for a damaged log, UserError if the log is shorter than `at_s`.
     """
     with open_whole_log(path) as (log, notice):
         check_moment(at_s, [(path, log)])
-        drawn = DrawnMessages(log)  # before a viewer gets anything: without sound numbers, nothing is shown
+        drawn = DrawnMessages(log)  # before anything is sent: if the numbers are damaged, nothing is shown
         skipped = Skipped()
 
         def send(recording: rr.RecordingStream, flush: Callable[[], object], every: int) -> None:
@@ -159,10 +158,10 @@ def prepare_log(
 
 @contextlib.contextmanager
 def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
-    """Open the log at `path`, or the whole chunks of one that was never finished: the log and its notice.
+    """Open the log at `path`, or a recovered copy of an unfinished log. Yields the log and its notice.
 
-    Rerun's reader refuses a log without a sound end. Raises LogError if it cannot be read, UserError for a name
-    that Rerun cannot take.
+    Rerun's reader refuses a log without a sound end. Raises LogError if the log cannot be read, UserError for a
+    name that Rerun cannot open.
     """
     if printable(str(path)) != str(path):
         raise UserError(f"{path}: Rerun opens only names in UTF-8; rename the log")
@@ -177,7 +176,7 @@ def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
 
 
 def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
-    """The curves of a log, each with its log times (N,) in ns and values (N,)."""
+    """The curves of a log, each with log times (N,) in ns and values (N,)."""
     for topic, (time_ns, numbers) in DrawnMessages(log).numbers.items():
         yield from curve_values(topic, time_ns, numbers)
     yield from predicted_curves(log)
@@ -198,14 +197,14 @@ def topics_with_messages(log: Log) -> list[str]:
 
 
 def drawn_topics(log: Log) -> list[str]:
-    """The topics of a log that are drawn: Rerun's reader need not read them."""
+    """The topics of a log that are drawn, which Rerun's reader need not read."""
     return [*_of_registry(log), *prediction_topics(log)]
 
 
 def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: Callable[[], object]) -> None:
-    """Send chunks no faster than they are taken, so that they do not pile up in this process."""
+    """Send chunks no faster than the viewer receives them, so that they do not pile up in this process."""
     rows = 0
-    with contextlib.closing(chunks):  # and their progress bar, before an error is printed
+    with contextlib.closing(chunks):  # closes their progress bar before an error is printed
         for chunk in chunks:
             recording.send_chunks(chunk)
             rows += len(chunk)
@@ -216,7 +215,7 @@ def send_chunks(chunks: Generator[Chunk], recording: rr.RecordingStream, flush: 
 
 
 def check_moment(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
-    """Raise UserError if all of these logs are shorter than `at_s`."""
+    """Raise UserError if all logs are shorter than `at_s`."""
     if at_s is None:
         return
     lengths = {path: 1e-9 * (log.time_range_ns[1] - log.time_range_ns[0]) for path, log in logs}
@@ -232,13 +231,13 @@ def _layout(log: Log, predictions: PredictionLayer | None, at_s: float | None) -
 
 
 def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
-    """The curves of the predictions in a log. Raises LogError where it is damaged."""
+    """The curves of the predictions in a log. Raises LogError if the log is damaged."""
     for number, predictions in enumerate(read_predictions(log)):
         yield from prediction_curves(predictions, number)
 
 
 def _of_registry(log: Log) -> list[str]:
-    """The drawn topics that every log may have and this one has, but for the same names in another program's."""
+    """The toolkit's drawn topics that this log has, without topics of the same name and another type."""
     counts = log.counts
     return [
         name for name, topic in TOPICS.items() if not topic.is_picture and counts.get(name) and _is_ours(log, name)
@@ -251,7 +250,7 @@ def _is_ours(log: Log, topic: str) -> bool:
 
 def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
     for message in log.messages(POSE):
-        with contextlib.suppress(DecodeError):  # a path with a gap, which `bc-log check` reports
+        with contextlib.suppress(DecodeError):  # the path has a gap, which `bc-log check` reports
             yield message, PoseInFrame.FromString(log.read(message.offset, message.length, message.chunk))
 
 
@@ -260,6 +259,6 @@ def _picture_size(log: Log) -> tuple[int, int] | None:
         return None
     pictures = log.pictures(CENTER)
     for place in zip(pictures.offset, pictures.length, pictures.chunk, strict=True):
-        with contextlib.suppress(LogError):  # that chunk is damaged, which is reported when pictures are sent
+        with contextlib.suppress(LogError):  # a damaged chunk is reported when pictures are sent
             return frame_size(log.read(*map(int, place)))
     return None
