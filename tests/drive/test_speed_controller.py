@@ -112,3 +112,13 @@ def test_the_speed_that_is_told_is_the_lowest_of_those_wanted() -> None:
     assert slow.set_speed_for(0.5, 15.0) == slow.set_speed_for(0.5) < 15
     assert slow.set_speed_for(0.0, 15.0) == 15
     assert math.isclose(slow.set_speed_for(0.5, 3.0), 3.0)
+
+
+def test_what_a_bend_takes_off_is_not_missing_on_the_straight_behind_it() -> None:
+    plain, slowed = SpeedController(20), SpeedController(20, slow_in_curves=True)
+    plain.throttle(20.0)
+    slowed.throttle(20.0)
+    for _ in range(100):  # faster in the bend than it wants to be
+        slowed.throttle(18.0, steering=0.8)
+    assert slowed.set_speed_for(0.8) < 18
+    assert slowed.throttle(19.0) == plain.throttle(19.0)
