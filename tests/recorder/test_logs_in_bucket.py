@@ -236,7 +236,7 @@ def test_a_listing_and_a_copy_that_are_refused_are_one_line(
     bucket.answer = refused(403, "AccessDenied")
     for line in (["ls", "s3://logs/sessions"], ["copy", log, "s3://logs/sessions/a.mcap"]):
         assert call(main, *line) == 1
-        assert "refuses that to these credentials (AccessDenied)" in one_line_in(capsys)
+        assert "refuses this request with these credentials (AccessDenied)" in one_line_in(capsys)
 
 
 @pytest.mark.parametrize(
