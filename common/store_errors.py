@@ -41,8 +41,8 @@ _ENDPOINTS: Final = {
 }
 _NOT_VALID: Final = ("InvalidAccessKeyId", "SignatureDoesNotMatch", "ExpiredToken", "InvalidToken")
 _RIGHTS: Final = {
-    "s3": "the rights s3:GetObject and s3:ListBucket (without it, S3 refuses missing objects), to write"
-    " s3:PutObject and s3:DeleteObject, too",
+    "s3": "the rights s3:GetObject and s3:ListBucket (without the latter, S3 also refuses missing objects); to"
+    " write, also s3:PutObject and s3:DeleteObject",
     "gs": "the role Storage Object User",
     "az": "the role Storage Blob Data Contributor",
 }
