@@ -45,7 +45,7 @@ class NameRows:
     end: float | None = None
     """Last second."""
     rows: tuple[int, int] | None = None
-    """First and last row, instead of times; the whole log: --start 0."""
+    """First and last row, instead of times (all rows: --start 0)."""
     odd: bool = False
     """Tag all stretches that are surely odd; they are listed first."""
     look: bool = False
