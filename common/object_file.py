@@ -23,7 +23,7 @@ AT_ONCE: Final = 16
 """Requests in flight: with 50 ms and 256 KB for each, about 80 MB/s."""
 
 MAX_READ_AHEAD: Final = 1 << 23
-"""Bytes in one request of a reader that reads a file in order."""
+"""The most bytes that are read ahead in one request."""
 
 T = TypeVar("T")
 Range = tuple[int, int]
@@ -61,7 +61,7 @@ class ObjectFile(Closeable):
         self.url = url
         self._lock = threading.Lock()
         self._kept: OrderedDict[int, bytes] = OrderedDict()  # by the offset of the first byte
-        self._read_from = self._read_to = -1  # first and last offset of the latest read
+        self._read_from = self._read_to = -1  # begin and end (exclusive) of the latest read
         self._ahead = _MIN_READ
         self._pool: ThreadPoolExecutor | None = None
         with as_store_error(url):

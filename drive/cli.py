@@ -202,8 +202,8 @@ def _notify(text: str) -> None:
 
 
 def _viewer(config: Drive, writer: LogWriter) -> contextlib.AbstractContextManager[object]:
-    """The viewer of a drive, if wanted: a separate process that reads the growing log. It cannot affect the
-    drive."""
+    """The viewer of a drive, if wanted: a separate process that reads the growing log. The drive gets
+    nothing from it."""
     target = _viewer_target(config, writer.path)
     if target is None:
         return contextlib.nullcontext()

@@ -82,9 +82,7 @@ def demo(config: Demo) -> int:
         except KeyboardInterrupt:
             if any((folder / name).exists() for name in _MADE):
                 cd = f"`cd {shlex.quote(str(folder))}`"
-                print_message(
-                    f"bc-demo: the results are in {folder}; to continue, type the next commands after {cd}"
-                )
+                print_message(f"bc-demo: the results are in {folder}; to continue, first type {cd}")
             elif is_new:
                 folder.rmdir()
             raise

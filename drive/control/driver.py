@@ -99,7 +99,7 @@ class Driver:
     def decide(self, data: object, received_s: float, now_s: float | None = None) -> Decision:
         """The command that answers a telemetry message: its data, or a `Telemetry` with valid numbers.
 
-        `received_s` is the `time.perf_counter()` at the arrival of the message. `now_s` is the time of a monotonic
+        `received_s` is the `time.perf_counter()` when its handling began. `now_s` is the time of a monotonic
         clock: for braking, and for smoothing if the simulator does not send its time.
 
         Never raises, because the simulator would wait for ever for an answer. If a message cannot be used, the

@@ -241,8 +241,8 @@ class LogWriter:
 
     @property
     def notices(self) -> list[str]:
-        """Lines to print about cameras whose pictures have changed their size."""
-        return [f"pictures of different sizes on {topic}: {sizes}" for topic, sizes in self._sizes.mixed().items()]
+        """Lines to print about pictures of different sizes."""
+        return self._sizes.notices()
 
     def flush_if_due(self) -> None:
         """Close the open chunks if the last flush is long enough ago. Call it also if nothing arrives."""

@@ -110,6 +110,15 @@ class PictureSizes:
             if len(sizes) > 1
         }
 
+    def notices(self) -> list[str]:
+        """Lines to print about cameras whose pictures change their size, or differ in size from others."""
+        lines = [f"pictures of different sizes on {topic}: {sizes}" for topic, sizes in self.mixed().items()]
+        first = self.first()
+        if not lines and len(set(first.values())) > 1:
+            sizes = ", ".join(f"{width}x{height} on {topic}" for topic, (width, height) in first.items())
+            lines = [f"pictures of different sizes: {sizes}; they should show the same part of the world"]
+        return lines
+
     def first(self) -> dict[str, tuple[int, int]]:
         """Width and height of the first picture of each topic that has any."""
         return {topic: next(iter(sizes)) for topic, sizes in sorted(self._sizes.items()) if sizes}

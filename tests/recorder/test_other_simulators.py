@@ -11,7 +11,7 @@ import pytest
 
 from driving import one_line_in
 from logs import read_messages
-from recorder import Imported, Log, RecordingError, import_udacity
+from recorder import Imported, Log, LogWriter, RecordingError, import_udacity
 from recorder.cli import main
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.udacity_follow import watch_udacity
@@ -157,6 +157,17 @@ def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: 
         "pictures of different sizes on /camera/center: 2 pictures of 320x160 (first: row 0),"
         " 2 pictures of 640x480 (first: row 1)"
     )
+
+
+def test_cameras_of_different_sizes_are_told(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap", {"source": "simulator"}) as writer:
+        for row in range(2):
+            writer.picture("center", row, row, picture_of(320, 160))
+            writer.picture("left", row, row, picture_of(640, 480))
+        assert writer.notices == [
+            "pictures of different sizes: 320x160 on /camera/center, 640x480 on /camera/left;"
+            " they should show the same part of the world"
+        ]
 
 
 def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

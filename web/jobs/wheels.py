@@ -117,7 +117,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
         with Log(log) as drive:
             name = drive.metadata.get("run", "")
         if key_of(Path(name)) not in runs:
-            raise WebError(f"{folders.runs}: the run that drove, {printable(name)!r}, is not in it", 404)
+            raise WebError(f"the run {printable(name)!r}, which drove, is not in {folders.runs}", 404)
     names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":

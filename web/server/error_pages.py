@@ -38,7 +38,7 @@ def on_http_error(request: Request, error: Exception) -> Response:
     """An unknown address, or a wrong method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     path = request.url.path
-    reasons = {404: f"{path}: there is no such page", 405: f"{path}: does not take {request.method}"}
+    reasons = {404: f"{path}: there is no such page", 405: f"{path}: the method {request.method} is not allowed"}
     return error_answer(request.scope, WebError(reasons.get(status, HTTPStatus(status).phrase), status))
 
 

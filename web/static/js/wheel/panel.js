@@ -8,7 +8,7 @@ const SLOW_PACE = 0.97;
 
 /** Write a text if it has changed: screen readers read every new text, and the browser lays it out. */
 export function write(id, text) {
-  if (by(id).textContent !== text) by(id).textContent = text;
+  if (by(id).textContent !== String(text)) by(id).textContent = text;
 }
 
 export class Panel {
