@@ -51,8 +51,7 @@ class _Event(Enum):
 
 class GracefulStop:
     """A context manager around a whole command. The first signal that `handle_signals` receives requests the end.
-    When the handlers have taken all the signals that they accept, the next Ctrl-C calls `force_quit`, which must
-    not return."""
+    After `max_signals` signals (see `receive`), the next Ctrl-C calls `force_quit`, which must not return."""
 
     current: ClassVar[GracefulStop | None] = None
 

@@ -14,7 +14,9 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-_BEHIND: Final = 1 << 60  # Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked
+_BEYOND_END: Final = (
+    1 << 60
+)  # Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked
 
 
 def lock(stream: IO[bytes]) -> None:
@@ -69,7 +71,7 @@ if sys.platform == "win32":
 
     def _lock_behind(stream: IO[bytes], mode: int) -> None:
         position = stream.tell()
-        stream.seek(_BEHIND)
+        stream.seek(_BEYOND_END)
         try:
             msvcrt.locking(stream.fileno(), mode, 1)
         finally:

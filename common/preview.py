@@ -111,7 +111,7 @@ def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Po
 def _wait_for_end(
     viewer: subprocess.Popen[bytes], task: str, grace_s: float, notify: Callable[[str], object]
 ) -> None:
-    """Wait for the viewer, which ends by itself when it has shown all of the finished log."""
+    """Wait for the viewer of a finished log, which ends by itself."""
     _restore_priority(viewer.pid)  # a user waits for it now
     with contextlib.suppress(subprocess.TimeoutExpired):
         viewer.wait(NOTICE_AFTER_S)

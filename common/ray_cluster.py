@@ -83,7 +83,7 @@ def cluster_tasks(address: str = "") -> Iterator[Tasks]:
     `address` is one of
 
     - HOST:PORT of the head, if this machine is a node of the cluster; ray://HOST:PORT from other machines
-    - "auto": the cluster of which this machine is a node
+    - "auto": the cluster that has this machine as a node
     - "local": start a cluster on this machine alone
     - "": RAY_ADDRESS, else "auto", else "local"
 

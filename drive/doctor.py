@@ -126,7 +126,7 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diag
 
 def _index(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
     from dataset import sessions_not_indexed
-    from dataset.index.not_learnt import has_earlier_rules
+    from dataset.index.not_learnt import EARLIER_RULES, has_earlier_rules
     from dataset.parquet_file import read_metadata
     from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -152,9 +152,7 @@ def _index(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessio
     sizes = f"{counted(training, 'frame')} for training, {held_out:,} held out"
     diagnosis.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
     if has_earlier_rules(stored):
-        diagnosis.odd.append(
-            "index: made by an earlier version, which held out crashes and did not recognise all odd rows"
-        )
+        diagnosis.odd.append(f"index: {EARLIER_RULES}")
         wanted.learn.append(Advice("it leaves the odd rows out of training and validation", "bc-index"))
     tags = map(tags_path, logs_in(sessions)) if has_sessions else ()
     if any(_time_ns(path) > _time_ns(index / SAMPLES_NAME) for path in tags):

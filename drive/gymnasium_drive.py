@@ -33,8 +33,8 @@ def check_pedals(car: GymnasiumCar) -> None:
     if car.actions.has_pedals and not (car.has_speed or car.has_expert):
         raise DriveError(
             f"--gym: action {car.actions.text}: the network only steers; for the pedals give the environment's key"
-            " of the speed, which is then held at --speed, or --expert MODULE:FUNCTION, or constants"
-            " (steering,0.1,0)"
+            " of the speed (the toolkit then holds --speed), or --expert MODULE:FUNCTION, or constants in the"
+            " action (steering,0.1,0)"
         )
 
 

@@ -226,8 +226,8 @@ def correlation(a: Floats, b: Floats) -> float:
 
 
 def driving_of_recipes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A table of the drives of each recipe after the last epoch, on tracks of which they learnt a part and on
-    unseen tracks: the mean, minimum and maximum over seeds."""
+    """A table of each recipe's drives after the last epoch, on partly learnt and on unseen tracks: the mean,
+    minimum and maximum over seeds."""
     long = pd.DataFrame(rows)
     long = long[(long["kind"] == "driven") & (long["epoch"] == long["epoch"].max())]
     parts = {"known": long["where"].isin(KNOWN), "unseen": ~long["where"].isin(KNOWN)}

@@ -34,7 +34,7 @@ class ImageFindings:
     broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)
     frozen: Mapping[Camera, Stretches]
     against: Stretches | None = None  # positions of vehicle states; None: checked by an earlier version
-    lag: LagFinding | None = None  # of the steering; None: labels do not depend on it, or an earlier version
+    lag: LagFinding | None = None  # of the steering; None: labels need none, or checked by an earlier version
 
 
 @dataclass(frozen=True)

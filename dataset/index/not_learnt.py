@@ -6,13 +6,15 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from common.errors import counted, first_of, printable
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME, SessionCounts
+
+EARLIER_RULES: Final = "built by an earlier version, which held out crashes and did not detect all odd frames"
 
 
 def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
@@ -41,10 +43,7 @@ def not_learnt_in(index: Path) -> list[str]:
     stored = read_metadata(index / SAMPLES_NAME) or {}
     if has_earlier_rules(stored):
         flag = "" if index.name == "index" else f" --index {shlex.quote(str(index))}"
-        return [
-            f"{index}: built by an earlier version, which held out crashes and did not detect all odd frames;"
-            f" `bc-index{flag}` leaves these out"
-        ]
+        return [f"{index}: {EARLIER_RULES}; `bc-index{flag}` leaves these out"]
     try:
         return not_learnt_line(msgspec.convert(stored["counts"], dict[str, SessionCounts]))
     except (KeyError, TypeError, ValueError):

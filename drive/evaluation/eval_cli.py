@@ -157,7 +157,7 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
         print_comparison(comparison, names)
         _print_measured_on(measured_on)
         if evaluation_a.without_crashes is not None:
-            print_result(f"compared without {counted(evaluation_a.crashes, 'frame')} of crashes")
+            print_result(f"compared without {counted(evaluation_a.crashes, 'frame')} of crashes and manoeuvres")
     learnt_code = DONE if a == b else _print_learnt(evaluation_b, measured_on)
     code = max(_print_notices(evaluation_a, measured_on), learnt_code)
     if not config.json:
@@ -221,7 +221,9 @@ def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None
             sessions = [*evaluation.driving.sessions] if evaluation.trained_on == 0 else ()
             verdict = judge(run, evaluation.driving.measures, sessions)
             if evaluation.without_crashes is not None:
-                print_result(f"the verdict is without {counted(evaluation.crashes, 'frame')} of crashes")
+                print_result(
+                    f"the verdict is without {counted(evaluation.crashes, 'frame')} of crashes and manoeuvres"
+                )
         print_result(*verdict.lines)
     except UserError as error:  # the measurement itself is already printed
         warn(str(error))

@@ -293,7 +293,7 @@ def _from_index(view: pa.Table, samples: Samples) -> pa.Table:
     except (KeyError, ValueError, pa.ArrowException):
         is_damaged = True
     if is_damaged:
-        raise DatasetError(f"{samples.path}: damaged; remove it and give `bc-index`")
+        raise DatasetError(f"{samples.path}: damaged; remove it and run `bc-index`")
     return frames
 
 

@@ -37,8 +37,8 @@ def refuse_other_steering(run: Path, max_steering_deg: float | None, source: str
     own, other = max_steering_deg_of_run(run), assumed_deg(max_steering_deg)
     if own != other:
         raise RunError(
-            f"{run}: steering 1 turns the wheels by {own:g} degrees, in {source} by {other:g} degrees, so they do"
-            " not go together"
+            f"{run}: steering 1 turns the wheels by {own:g} degrees, in {source} by {other:g} degrees: they cannot"
+            " be used together"
         )
 
 

@@ -44,7 +44,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
         if name not in MAY_CHANGE and wanted[name] != value:
             flag = f"--{name.replace('_', '-')}"
             raise RunError(
-                f"{run}: began with {flag} {value} and must continue with it; for {flag} {wanted[name]} train"
+                f"{run}: began with {flag} {value} and keeps it when resumed; for {flag} {wanted[name]} train"
                 f" another run from its weights: --init {run_argument(run)}"
             )
     return config

@@ -61,8 +61,8 @@ class TensorBoard:
         try:
             events = [event] if self._stream is not None else self._history()
             stream = self._stream or self._open()
-            for curve_point in events:
-                self._write_curves(stream, curve_point)
+            for entry in events:
+                self._write_curves(stream, entry)
         except OSError as error:
             raise RunError(
                 f"{self._folder}: cannot be written ({error.strerror}); {write_remedy(error)}, or continue without"

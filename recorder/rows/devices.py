@@ -26,5 +26,5 @@ def most_used(rows: Mapping[int, int]) -> RowDevice:
 
 
 def most_used_of(numbers: NDArray[np.int8]) -> RowDevice:
-    """`most_used` of the device numbers (N,) of rows."""
+    """The device of most rows, from the device number of each row (N,); empty if no device is known."""
     return most_used(dict(enumerate(np.bincount(numbers, minlength=len(DEVICES)).tolist())))

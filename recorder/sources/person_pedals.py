@@ -42,7 +42,7 @@ class CoursePedals:
 
 
 def throttle_of_telemetry(control: Control, speed_mph: float) -> float:
-    """The throttle, -1 .. 1, for a car of which only the speed is known (NaN: unknown, too)."""
+    """The throttle, -1 .. 1, for a car that reports only its speed (NaN if it does not)."""
     if control.is_absent:
         return brake_of_telemetry(speed_mph)
     if control.hold_mph is None:

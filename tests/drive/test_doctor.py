@@ -174,7 +174,7 @@ def test_an_earlier_versions_index_is_said() -> None:
     pq.write_table(table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), file)
     project = examine()
     assert (
-        "index: made by an earlier version, which held out crashes and did not recognise all odd rows"
+        "index: built by an earlier version, which held out crashes and did not detect all odd frames"
         in project.odd
     )
     assert project.advice[0].command == "bc-index"

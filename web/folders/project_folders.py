@@ -209,7 +209,7 @@ class ProjectFolders:
         return path
 
     def run_place(self, run: Path) -> Location:
-        """The original location of a run, of which `run` may be a copy."""
+        """The original location of a run; `run` may be a copy."""
         return (self._stored_runs and self._stored_runs.url(run)) or run
 
     def version_of_run(self, run: Path, names: Sequence[str]) -> str:

@@ -95,7 +95,7 @@ class RunCards:
 
 
 def _card(path: Path, summary: RunSummary | UserError | None, place: Location) -> RunCard:
-    """The card of a run at `place`, of which `path` may be a copy."""
+    """The card of the run at `place`; `path` may be a copy."""
     problem = ""
     if isinstance(summary, UserError):
         problem, summary = str(summary), None

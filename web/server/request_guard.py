@@ -106,17 +106,21 @@ class RequestGuard:
         host, origin = headers.get("host"), headers.get("origin")
         environ = {"HTTP_HOST": host} if host is not None else {}
         if reason := self._hosts.why_refused(environ):
-            raise WebError(f"asked {reason}: open this workbench by its own address", 403)
+            raise WebError(f"a request {reason} is refused: open the address that bc-web printed", 403)
         own = {f"{scheme}://{host}".lower() for scheme in ("http", "https")}  # https: a proxy may encrypt
         if origin is not None and origin.lower() not in own:
-            raise WebError(f"asked by a page from {origin}: only the workbench's own pages may ask", 403)
+            raise WebError(
+                f"a request by a page from {origin}: only the workbench's own pages may send requests", 403
+            )
         if origin is None and scope["type"] == "websocket":  # a browser always sends one
-            raise WebError("a websocket without an Origin: only the workbench's own pages may ask", 403)
+            raise WebError("a websocket without an Origin: only the workbench's own pages may open one", 403)
         site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
         is_get = scope.get("method") == "GET"
         is_opened = mode == "navigate" and is_get and headers.get("sec-fetch-dest") == "document"
         if site not in (None, "same-origin", "none") and not is_opened:
-            raise WebError("asked by a page of another site: only the workbench's own pages may ask", 403)
+            raise WebError(
+                "a request by a page of another site: only the workbench's own pages may send requests", 403
+            )
 
     def _check_token(self, scope: Scope) -> ASGIApp | None:
         """Raise WebError for a request without the token. If its address has the token, return an answer that sets

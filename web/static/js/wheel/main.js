@@ -46,7 +46,7 @@ let isRecording = false;
 
 const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
 
-/** The mouse or a finger has moved. */
+/** The mouse or a finger is pressed, moved or released. */
 function touched(event) {
   event_ms ??= event.timeStamp;
   steer();
