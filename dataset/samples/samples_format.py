@@ -93,6 +93,7 @@ COUNT_HEADINGS: Final = {
     "unlabelled": "no label",
     "crashed": "crash",
     "not_taken_over": "not taken over",
+    "not_measured": "not measured",
 }
 """Headings of the counts whose heading is not their name."""
 
