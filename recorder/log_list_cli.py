@@ -10,7 +10,7 @@ import tyro
 from rich.table import Table
 
 from common import UserError
-from common.command import DONE, print_error, warn
+from common.command import DONE, FAILED, print_error, warn
 from common.errors import as_user_error
 from common.location import Location, location
 from common.output import plain_table, print_result, print_table
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from recorder.upkeep.log_info import LogInfo
 
 SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
-    "newest": lambda info: tuple(-ord(character) for character in info.start),
+    "newest": lambda info: tuple(-ord(character) for character in info.start) or (0,),
     "name": lambda info: info.path,
     "rows": lambda info: -info.rows,
     "duration": lambda info: -info.length_s,
@@ -55,10 +55,10 @@ class ListLogs:
                 print_result(info.as_json())
         elif infos:
             print_table(_table(infos))
-        code = max([*codes, *(warn(info.notice) for info in infos if info.notice)])
+        codes += [warn(info.notice) for info in infos if info.notice]
         if infos and not self.json:
             print_first([step_of_list(infos)])
-        return code
+        return FAILED if FAILED in codes else max(codes)
 
     def _logs(self) -> list[Location]:
         folders = [folder for folder in FOLDERS if folder.is_dir()]

@@ -39,7 +39,8 @@ def print_info(info: LogInfo) -> None:
 
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
-    print_table(f"[bold]{plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}, {info.start}")
+    start = info.start and f", {info.start}"
+    print_table(f"[bold]{plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}{start}")
     table = Table("topic", "schema", "messages", "a second")
     for topic in info.topics[:MAX_LINES]:
         table.add_row(plain(topic.topic), plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
@@ -169,7 +170,7 @@ def step_of_info(info: LogInfo) -> NextStep:
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
         return NextStep(2, _command("check", log), "it checks the pictures of perhaps odd stretches")
-    return _go_on(log)
+    return _go_on(info)
 
 
 def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool) -> NextStep:
@@ -180,7 +181,7 @@ def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool)
     if is_damaged:
         return NextStep(0, _command("recover", log), "it writes the sound parts to a new log")
     left = [stretch for stretch in _left(info, odd) if stretch.is_sure]
-    return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(log)
+    return NextStep(1, exclude_command(left, log), _EXCLUDES) if left else _go_on(info)
 
 
 def print_first(steps: Sequence[NextStep]) -> None:
@@ -195,7 +196,7 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
     odd = max(rows, key=lambda path: rows[path])
     if rows[odd]:
         return NextStep(1, _command("info", location(odd)), "it shows the odd stretches")
-    return _go_on(location(max(logs, key=lambda info: info.start).path))
+    return _go_on(max(logs, key=lambda info: info.start))
 
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
@@ -205,8 +206,11 @@ def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStr
     return TaggedRows(info.tags, EXCLUDE).untagged(odd or info.odd or ())
 
 
-def _go_on(log: Location) -> NextStep:
+def _go_on(info: LogInfo) -> NextStep:
     """The next step for a log without problems: index a session, play a drive."""
+    log = location(info.path)
+    if not any(topic.messages for topic in info.topics):
+        return NextStep(4, "bc-record NAME", f"{log} is empty")
     return NextStep(3, "bc-index" if log.parent == SESSIONS else f"bc-play {shlex.quote(str(log))}")
 
 

@@ -128,7 +128,7 @@ def describe(
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
-            start=_start(log, first_ns),
+            start=_start(log, first_ns) if any(counts.values()) else "",
             duration_s=duration_s,
             driven_s=driven_s,
             topics=[

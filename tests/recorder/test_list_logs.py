@@ -80,6 +80,34 @@ def test_unfinished_and_broken_logs_are_shown_as_such(project: Path, capsys: pyt
     assert "broken.mcap" in output.err
 
 
+def test_an_unreadable_log_next_to_an_unfinished_one_is_a_failure(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = log_of(project / "elsewhere" / "killed.mcap", 3).read_bytes()
+    (project / "sessions").mkdir()
+    (project / "sessions" / "killed.mcap.abc123.part").write_bytes(whole[: len(whole) // 2])
+    (project / "sessions" / "broken.mcap").write_bytes(b"garbage")
+    assert call(main, "ls") == 1
+    assert "broken.mcap: not an MCAP log" in capsys.readouterr().err
+
+
+def test_an_empty_log_has_no_start_and_the_next_step_is_a_recording(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = project / "sessions" / "empty.mcap"
+    LogWriter(empty, {"source": "telemetry"}).close()
+    assert describe(empty).start == ""
+    for command in ("info", "check"):
+        assert call(main, command, "empty") == 0
+        output = capsys.readouterr()
+        assert "1970" not in output.out
+        assert output.err == "next: `bc-record NAME`: sessions/empty.mcap is empty\n"
+    log_of(project / "sessions" / "monday.mcap", 3)
+    assert names(capsys) == ["monday", "empty"]
+    assert call(main, "info", "empty", "monday") == 0
+    assert capsys.readouterr().err == "next: `bc-index`\n"
+
+
 def test_without_logs_it_says_how_to_begin(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "ls") == 1
     assert "bc-record" in capsys.readouterr().err
