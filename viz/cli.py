@@ -81,13 +81,17 @@ def _content(config: Play) -> FinishedContent | GrowingLogContent:
 
 
 def _check_logs(paths: Sequence[Path]) -> None:
-    """Raise LogError for a file that is not a log, before a viewer opens. Print a notice for a log without
-    CRCs."""
-    from recorder import Log
+    """Raise LogError for an empty log, or a file that is not a log, before a viewer opens. Print a notice for a
+    log without CRCs."""
+    from recorder import Log, LogError
     from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
+    from recorder.mcap.scan import read_summary
 
     for path in dict.fromkeys(paths):
         with McapFile(path) as file:
+            summary = read_summary(file)  # None for an unfinished log
+            if summary and summary.statistics and not summary.statistics.message_count:
+                raise LogError(f"{path}: an empty log; `bc-log ls` lists others")
             if file.promises_crcs:  # for an unfinished log, `has_crcs` would read the whole file
                 continue
         with Log(path) as log:

@@ -149,6 +149,17 @@ def test_a_log_of_nothing_is_shown_empty(tmp_path: Path) -> None:
     assert not [entity for entity in contents(tmp_path / "x.rrd") if not entity.startswith("/__")]
 
 
+@pytest.mark.parametrize("flags", [["--web"], ["--save", "x.rrd"], ["--follow"]])
+def test_bc_play_refuses_an_empty_log_before_a_viewer_opens(
+    flags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("viz.cli._show_or_save", lambda config, content: pytest.fail("too late"))
+    monkeypatch.chdir(tmp_path)
+    LogWriter(tmp_path / "empty.mcap", {}).close()
+    assert call(main, "empty.mcap", *flags) == 1
+    assert "empty.mcap: an empty log" in capsys.readouterr().err
+
+
 def test_a_log_shows_what_it_has(tmp_path: Path) -> None:
     """Pictures without vehicle states, states without pictures."""
     with LogWriter(tmp_path / "pictures.mcap", {}) as log:
