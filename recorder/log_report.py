@@ -165,7 +165,7 @@ def step_of_info(info: LogInfo) -> NextStep:
     """The next step for a log, from its numbers."""
     from recorder.rows.odd_stretches import exclude_command
 
-    log, left = location(info.path), _left(info)
+    log, left = location(info.path), _left(info, info.odd)
     if any(stretch.is_sure for stretch in left):
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
@@ -192,18 +192,18 @@ def print_first(steps: Sequence[NextStep]) -> None:
 
 def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
     """The next step for the log with the most odd rows, or for the newest log."""
-    rows = {info.path: sum(stretch.rows for stretch in _left(info) if stretch.is_sure) for info in logs}
+    rows = {info.path: sum(stretch.rows for stretch in _left(info, info.odd) if stretch.is_sure) for info in logs}
     odd = max(rows, key=lambda path: rows[path])
     if rows[odd]:
         return NextStep(1, _command("info", location(odd)), "it shows the odd stretches")
     return _go_on(max(logs, key=lambda info: info.start))
 
 
-def _left(info: LogInfo, odd: Sequence[OddStretch] | None = None) -> list[OddStretch]:
-    """The odd stretches of a log that are not excluded."""
+def _left(info: LogInfo, odd: Sequence[OddStretch] | None) -> list[OddStretch]:
+    """The stretches `odd` of a log that are not excluded."""
     from recorder.log.tagged_rows import TaggedRows  # NumPy
 
-    return TaggedRows(info.tags, EXCLUDE).untagged(odd or info.odd or ())
+    return TaggedRows(info.tags, EXCLUDE).untagged(odd or ())
 
 
 def _go_on(info: LogInfo) -> NextStep:

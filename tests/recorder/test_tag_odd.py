@@ -4,6 +4,8 @@ that somebody has looked at and tagged `fine` are not named again.
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +18,10 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import Tag
 from recorder.log_cli import main
+from recorder.rows.odd_stretches import OddStretch
 from recorder.rows.row_condition import rows_where
 from recorder.rows.row_quality import States
-from udacity import call
+from udacity import call, picture
 
 
 @pytest.fixture
@@ -60,6 +63,18 @@ def test_where_nothing_is_found_nothing_is_tagged(parked: Path, capsys: pytest.C
     assert call(main, "tag", clean, "exclude", "--odd") == 0
     assert "nothing that is surely odd; nothing was tagged" in (said := capsys.readouterr().err)
     assert "next:" not in said
+
+
+def test_a_check_advises_to_exclude_only_what_it_finds_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted = OddStretch("parked", 3, 9, 0.3, 0.9, "by the rules of an earlier version", is_sure=True)
+    monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {"odd": json.dumps([asdict(noted)])})
+    log = write_log(tmp_path / "a.mcap", [0.1 * (row % 7) for row in range(60)], picture)
+    assert call(main, "info", log) == 0
+    assert "exclude --odd" in capsys.readouterr().err
+    assert call(main, "check", log) == 0
+    assert "exclude" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("answer", "expected"), [(True, [(80, 149, "exclude")]), (False, [])])
