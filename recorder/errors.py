@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,4 +34,9 @@ def readable(path: Path) -> Iterator[None]:
 
 def damaged_pictures(log: Location) -> str:
     """The reason for skipped pictures in damaged chunks of a log."""
-    return f"pictures in damaged chunks of {log} (`bc-log recover {log}` saves the others)"
+    return f"pictures in damaged chunks of {log} ({recovery(log)} saves the others)"
+
+
+def recovery(log: Location) -> str:
+    """The command that recovers a log, in backquotes."""
+    return f"`bc-log recover {shlex.quote(str(log))}`"

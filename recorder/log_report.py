@@ -52,7 +52,7 @@ def print_info(info: LogInfo) -> None:
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         unit = FULL_LOCK if is_angle_unknown(info.session) else DEGREES
-        measures = f"; `bc-log check {plain(info.path)}` measures it" * (NOT_MEASURED in info.labels)
+        measures = f"; `bc-log check {plain(shlex.quote(info.path))}` measures it" * (NOT_MEASURED in info.labels)
         print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}{measures}")
     for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")

@@ -25,7 +25,7 @@ from common.car import CAMERAS, Camera
 from common.closeable import Closeable
 from common.location import Location, location
 from recorder import topics
-from recorder.errors import LogError
+from recorder.errors import LogError, recovery
 from recorder.mcap.chunk_reader import ChunkReader
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
@@ -135,7 +135,7 @@ class Log(Closeable):
         also = f", and {middle:,} bytes before it are damaged" if middle else ""
         return (
             f"{self.path}: {self.problem}{also}; its complete parts are read."
-            f" `bc-log recover {self.path}` makes a finished log of it"
+            f" {recovery(self.path)} makes a finished log of it"
         )
 
     @property

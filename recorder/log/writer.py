@@ -29,7 +29,7 @@ from common.locks import lock
 from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.errors import LogError
+from recorder.errors import LogError, recovery
 from recorder.log.known_lag import WrittenPictures, lag_note
 from recorder.log.meant_gaps import MeantGap, NotRecorded
 from recorder.log.road_places import CarPlaces
@@ -396,7 +396,7 @@ class LogWriter:
             return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
         return UserError(
             f"{self.part}: cannot be written any further ({error.strerror}); it has all rows until now:"
-            f" make room and run `bc-log recover {self.part}`"
+            f" make room and run {recovery(self.part)}"
         )
 
     def _abandon(self) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import shlex
 import struct
 import zlib
 from array import array
@@ -29,7 +30,7 @@ from common.closeable import Closeable
 from common.errors import NoSuchObjectError, counted, did_you_mean
 from common.location import Location
 from common.random_access import LocalFile, open_for_reading
-from recorder.errors import LogError
+from recorder.errors import LogError, recovery
 from recorder.topics import LIBRARY, PROFILE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -121,8 +122,8 @@ class McapFile(Closeable):
         except NoSuchObjectError as error:
             raise LogError(str(error)) from None
         except OSError as error:
-            advice = _advice(path) if isinstance(path, Path) else "give the command again"
-            raise LogError(f"{path}: cannot be opened ({error.strerror}); {advice}") from None
+            advice = _advice(path) if isinstance(path, Path) else "; give the command again"
+            raise LogError(f"{path}: cannot be opened ({error.strerror}){advice}") from None
         self._copy: Path | None = None
         self._unpacked_at = set[int]()  # compressed chunks that count in `_unpacked_bytes`
         self._unpacked_bytes = 0
@@ -353,10 +354,9 @@ class McapFile(Closeable):
             with contextlib.suppress(OSError):
                 self._copy.unlink(missing_ok=True)
         if not isinstance(path, Path):
-            return LogError(
-                f"{path}: damaged: {problem}; `bc-log copy {path} FOLDER` brings it here, for `bc-log recover`"
-            )
-        return LogError(f"{path}: damaged: {problem}; `bc-log recover {path}` saves the rest")
+            copy = f"`bc-log copy {shlex.quote(str(path))} FOLDER`"
+            return LogError(f"{path}: damaged: {problem}; {copy} brings it here, for `bc-log recover`")
+        return LogError(f"{path}: damaged: {problem}; {recovery(path)} saves the rest")
 
 
 def has_crc_in(chunk: Chunk, head: bytes) -> bool:
@@ -373,16 +373,20 @@ def stored_message(records: bytes, start: int) -> StoredMessage:
 
 
 def _advice(path: Path) -> str:
-    """A hint at the file that was meant: perhaps the name of a session was given."""
+    """The end of an error: a hint at the file that was meant, perhaps by the name of a session."""
+    if path.is_dir():
+        return f"; `bc-log ls {shlex.quote(str(path))}` lists the logs in it"
+    if path.exists():
+        return ""  # it may not be read
     for log in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
         if log.is_file():
-            return f"did you mean {log}?"
+            return f"; did you mean {log}?"
     parts = sorted(path.parent.glob("*.part")) if path.parent.is_dir() else []
     for part in parts:
         if part.name.startswith(f"{path.name}."):
-            return f"did you mean {part}?"
+            return f"; did you mean {part}?"
     names = [log.stem for folder in ("sessions", "drives") for log in Path(folder).glob("*.mcap")]
-    return did_you_mean(path.name, names) or "`bc-record NAME` makes a log"
+    return f"; {did_you_mean(path.name, names) or '`bc-record NAME` makes a log'}"
 
 
 def prefixed(data: bytes, at: int) -> bytes:

@@ -6,6 +6,7 @@ The user names the topic of the pictures, and the topic and the field of the ste
 from __future__ import annotations
 
 import re
+import shlex
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from common import Skipped
 from common.files import PART_SUFFIX
 from common.progress import track
 from common.untrusted import open_regular, real_path
-from recorder.errors import RecordingError
+from recorder.errors import RecordingError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import Car
 from recorder.mcap.mcap_file import WITHOUT_CRCS
@@ -113,7 +114,7 @@ def import_mcap(
     if image is None or wanted is None:
         raise RecordingError(
             f"{source}: which topics? Give --image TOPIC and --steering TOPIC.FIELD;"
-            f" `bc-log info {source}` lists them"
+            f" `bc-log info {shlex.quote(str(source))}` lists them"
         )
     events = SkippedEvents()
     skipped = events.skipped
@@ -136,7 +137,7 @@ def import_mcap(
 
 def _what_to_do_instead(source: Path, log: Path) -> str:
     if source.suffix == PART_SUFFIX:
-        return f"still unfinished: finish it with `bc-log recover {source}`"
+        return f"still unfinished: finish it with {recovery(source)}"
     if real_path(source).parent == real_path(log).parent:
         return "and a session already: `bc-index` takes it in"
     return f"which needs no import: copy it into {log.parent}/"

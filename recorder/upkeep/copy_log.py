@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import secrets
+import shlex
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ from common.object_store import (
     read_object,
     remove,
 )
-from recorder.errors import LogError
+from recorder.errors import LogError, recovery
 from recorder.log.known_lag import copy_lag
 from recorder.log.reader import Log
 from recorder.log.tags import MAX_BYTES, tags_path
@@ -87,7 +88,7 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
         if not overwrite:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
-        raise LogError(f"{log}: unfinished or damaged; run `bc-log recover {log}` first")
+        raise LogError(f"{log}: unfinished or damaged; run {recovery(log)} first")
     _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
@@ -164,9 +165,10 @@ def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_byt
             stream.flush()
         if not is_whole(part) or _fingerprint(part) != fingerprint:
             if keeps_damaged:
-                raise LogError(f"{url}: unfinished or damaged; `bc-log recover {part}` makes a log of what came")
+                raise LogError(f"{url}: unfinished or damaged; {recovery(part)} makes a log of what came")
             part.unlink()
-            raise LogError(f"{url}: unfinished or damaged; `bc-log copy {url} FOLDER` brings what there is")
+            copy = f"`bc-log copy {shlex.quote(str(url))} FOLDER`"
+            raise LogError(f"{url}: unfinished or damaged; {copy} brings what there is")
         with uninterrupted():
             publish(part, path, overwrite)
     return Copied(path, source.size, True, _download_tags(url, path, overwrite))

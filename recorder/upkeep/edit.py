@@ -8,6 +8,7 @@ rows are written next to it.
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -21,7 +22,7 @@ from common import Skipped
 from common.files import final_path, refuse_existing
 from common.progress import track
 from recorder import topics
-from recorder.errors import LogError
+from recorder.errors import LogError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tags import Tag, read_tags
@@ -184,9 +185,10 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     refuse_taken(to, [path], overwrite)
     with Log(path) as log:
         if log.problem:
-            raise LogError(f"{path}: {log.problem}; `bc-log recover {path}` makes a finished log of it")
+            raise LogError(f"{path}: {log.problem}; {recovery(path)} makes a finished log of it")
         if not log.is_ours:
-            raise LogError(f"{path}: another program's log; import it with `bc-record NAME --from {path}`")
+            importing = f"`bc-record NAME --from {shlex.quote(str(path))}`"
+            raise LogError(f"{path}: another program's log; import it with {importing}")
         tags, about = read_tags(path, log.fingerprint), {"rewritten_from": path.name}
         return _copied(log, to, lambda *_: True, tags, about, overwrite, same_as=log.fingerprint)
 
