@@ -53,9 +53,9 @@ THERE_AND_BACK = [(1.0, 3.0), (-1.0, 8.0), (0.0, 1.0), (1.0, 4.0)]
 def test_what_was_driven_backwards_is_found_without_a_sign_of_speed() -> None:
     driven = pedals("lake", THERE_AND_BACK)
     truth = np.array(driven.speed_mph) < -0.5
-    found = row_flags(driven.states)["backwards"]
+    backwards = row_flags(driven.states)["backwards"]
     assert truth.sum() > 30
-    assert (found != truth).sum() <= 3  # where it stands
+    assert (backwards != truth).sum() <= 3  # where it stands
 
 
 @pytest.mark.parametrize("track", ["lake", "mountain", "random:1"])

@@ -55,9 +55,9 @@ def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> L
 def whole(tmp_path: Path, layout: Layout) -> Path:
     """Two rows in three chunks, or in four."""
     path = layout(write_log(tmp_path / "whole.mcap", [0.25, -0.5], cameras=("center",)))
-    found = [[message.topic for message in chunk.messages] for chunk in contents(path).chunks]
+    topics = [[message.topic for message in chunk.messages] for chunk in contents(path).chunks]
     image, state = "/camera/center", VEHICLE
-    assert found == (
+    assert topics == (
         [[image], [image], [state], [state]] if layout is two_kinds else [[image], [state], [image, state]]
     )
     return path
@@ -65,31 +65,31 @@ def whole(tmp_path: Path, layout: Layout) -> Path:
 
 def recorded_in(messages: list[Stored]) -> set[Given]:
     """What Log should make of these messages."""
-    found: set[Given] = set()
+    given: set[Given] = set()
     for message in messages:
         if message.topic == VEHICLE:
             state = VehicleState.FromString(message.data)
-            found.add(("vehicle", message.sequence, message.log_time, (state.steering, state.speed_mph)))
+            given.add(("vehicle", message.sequence, message.log_time, (state.steering, state.speed_mph)))
         else:
             picture = CompressedImage.FromString(message.data).data
-            found.add((message.topic.removeprefix("/camera/"), message.sequence, message.log_time, picture))
-    return found
+            given.add((message.topic.removeprefix("/camera/"), message.sequence, message.log_time, picture))
+    return given
 
 
 def given_out(path: Path) -> set[Given]:
     """Every state and picture that Log gives out of a file; nothing but a LogError may stop it."""
-    found: set[Given] = set()
+    given: set[Given] = set()
     with contextlib.suppress(LogError), Log(path) as log:
         ask_for_the_rest(log)
         with contextlib.suppress(LogError):
             for state in log.vehicle().to_pylist():
-                found.add(("vehicle", state["row"], state["log_time_ns"], (state["steering"], state["speed_mph"])))
+                given.add(("vehicle", state["row"], state["log_time_ns"], (state["steering"], state["speed_mph"])))
         with contextlib.suppress(LogError):
             for frame in log.frames().to_pylist():
                 with contextlib.suppress(LogError):
                     picture = log.read(frame["offset"], frame["length"], frame["chunk"])
-                    found.add((frame["camera"], frame["row"], frame["log_time_ns"], picture))
-    return found
+                    given.add((frame["camera"], frame["row"], frame["log_time_ns"], picture))
+    return given
 
 
 def ask_for_the_rest(log: Log) -> None:
@@ -115,15 +115,15 @@ def recovered(path: Path) -> Contents | None:
     except UserError:
         assert not to.exists()
         return None
-    found = contents(to)
-    assert written.messages == len(found.messages)
-    return found
+    content = contents(to)
+    assert written.messages == len(content.messages)
+    return content
 
 
 def wrong_in_recovered(path: Path, truth: list[Stored], least: list[Stored]) -> list[str]:
     """What a recovered log has that was never recorded, or lacks though it was whole in the damaged one."""
-    found = recovered(path)
-    kept = set() if found is None else set(found.messages)
+    content = recovered(path)
+    kept = set() if content is None else set(content.messages)
     return [f"recovered {m}" for m in kept - set(truth)] + [f"did not recover {m}" for m in set(least) - kept]
 
 
@@ -151,10 +151,10 @@ def complaints_of_flips(path: Path, positions: range, recover_every: int) -> lis
         masks = MASKS if positions.step == 1 else MASKS[position % 2 :][:1]
         for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else masks:
             overwrite(damaged, position, whole[position] ^ mask)
-            found = [f"gave out {wrong}" for wrong in given_out(damaged) - truth]
+            given = [f"gave out {wrong}" for wrong in given_out(damaged) - truth]
             if position % recover_every == 0 or position in chunk_starts:
-                found += wrong_in_recovered(damaged, original.messages, least)
-            complaints += [f"byte {position} ^ {mask:#x}: {what}" for what in found]
+                given += wrong_in_recovered(damaged, original.messages, least)
+            complaints += [f"byte {position} ^ {mask:#x}: {what}" for what in given]
         overwrite(damaged, position, whole[position])
     return complaints
 
@@ -168,8 +168,8 @@ def complaints_of_cuts(path: Path, lengths: range, recover_every: int) -> list[s
     for length in reversed(lengths):
         os.truncate(cut, length)
         complete = [message for chunk in original.chunks if chunk.end <= length for message in chunk.messages]
-        found = given_out(cut)
-        what = [] if found == recorded_in(complete) else [f"{len(complete)} are complete, gave out {found}"]
+        given = given_out(cut)
+        what = [] if given == recorded_in(complete) else [f"{len(complete)} are complete, gave out {given}"]
         if length % recover_every == 0 or any(abs(length - chunk.end) < 2 for chunk in original.chunks):
             # a chunk that lacks only the end of its compressed frame unpacks to what its CRC tells
             last_row = max((m.sequence for m in complete if m.topic == VEHICLE), default=LAST_ROW)
@@ -225,10 +225,10 @@ def test_a_killed_recording_with_any_broken_byte_loses_one_chunk(whole: Path, ev
         hit = [message for c in original.chunks if c.start <= position < c.end for message in c.messages]
         undescribed = {topic for topic, message in first.items() if message in hit}
         least = [m for m in original.messages if m not in hit and m.topic not in undescribed]
-        found = given_out(killed)
+        given = given_out(killed)
         overwrite(killed, position, data[position])
-        if not recorded_in(least) <= found <= recorded_in(original.messages):
-            complaints.append(f"byte {position}: gave out {found}, whole are {least}")
+        if not recorded_in(least) <= given <= recorded_in(original.messages):
+            complaints.append(f"byte {position}: gave out {given}, whole are {least}")
     assert complaints == []
 
 

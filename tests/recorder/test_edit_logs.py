@@ -56,15 +56,15 @@ def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name
 
 def killed(whole: Path) -> tuple[Path, list[Stored]]:
     """What a kill leaves of this log, and the messages that are in it."""
-    found = contents(whole)
+    content = contents(whole)
     path = whole.with_name(f"{whole.name}.0a1b2c.part")
-    last = found.chunks[-1]
+    last = content.chunks[-1]
     path.write_bytes(whole.read_bytes()[: last.end - 1])
-    return path, [message for chunk in found.chunks[:-1] for message in chunk.messages]
+    return path, [message for chunk in content.chunks[:-1] for message in chunk.messages]
 
 
-def events_in(found: Contents) -> list[str]:
-    return [LogMessage.FromString(message.data).message for message in found.of("/events")]
+def events_in(content: Contents) -> list[str]:
+    return [LogMessage.FromString(message.data).message for message in content.of("/events")]
 
 
 def numbered_on(messages: list[Stored], first: int) -> list[Stored]:
@@ -104,12 +104,12 @@ laid_out: Layout = two_kinds
 def test_a_recovered_log_is_the_original_message_by_message(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(20))
     done = recover(whole, tmp_path / "b.mcap")
-    original, found = contents(whole), contents(done.path)
-    assert found.by_topic == original.by_topic
+    original, content = contents(whole), contents(done.path)
+    assert content.by_topic == original.by_topic
     assert (done.messages, done.rows, list(done.skipped)) == (len(original.messages), 20, [])
-    assert found.profile == "bc"
+    assert content.profile == "bc"
     session = {**dict(original.metadata)["bc.session"], "recovered_from": "a.mcap", "rewritten_by": VERSION}
-    assert sorted(found.metadata) == sorted({**dict(original.metadata), "bc.session": session}.items())
+    assert sorted(content.metadata) == sorted({**dict(original.metadata), "bc.session": session}.items())
 
 
 @BOTH_LAYOUTS
@@ -161,9 +161,9 @@ def test_attachments_and_messages_without_a_schema_are_recovered_too(tmp_path: P
         channel = writer.register_channel("/json", "json", 0)
         writer.add_message(channel, 1, b"{}", 2, 3)
         writer.add_attachment(4, 5, "notes.txt", "text/plain", b"hello")
-    found = contents(recover(path, tmp_path / "b.mcap").path)
-    assert found.messages == [Stored("/json", "", 3, 1, 2, b"{}")]
-    assert found.attachments == [("notes.txt", b"hello")]
+    content = contents(recover(path, tmp_path / "b.mcap").path)
+    assert content.messages == [Stored("/json", "", 3, 1, 2, b"{}")]
+    assert content.attachments == [("notes.txt", b"hello")]
 
 
 def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_path: Path) -> None:
@@ -187,13 +187,13 @@ def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_pa
 def test_a_trimmed_log_holds_its_rows_and_the_events_between_them(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(20))
     done = trim(whole, tmp_path / "b.mcap", (5, 8))
-    found = contents(done.path)
+    content = contents(done.path)
     times = range(START_NS + 5 * STEP_NS, START_NS + 8 * STEP_NS + 1)
-    assert found.by_topic == by_topic(m for m in contents(whole).messages if m.log_time in times)
+    assert content.by_topic == by_topic(m for m in contents(whole).messages if m.log_time in times)
     assert (done.messages, done.rows) == (4 * 8, 4)
-    assert events_in(found) == [f"at row {row}" for row in range(5, 9)]
-    assert dict(found.metadata)["bc.session"].items() >= {"trimmed_from": "a.mcap", "rows": "5-8"}.items()
-    assert dict(found.metadata)["bc.quality"]["rows"] == "4"
+    assert events_in(content) == [f"at row {row}" for row in range(5, 9)]
+    assert dict(content.metadata)["bc.session"].items() >= {"trimmed_from": "a.mcap", "rows": "5-8"}.items()
+    assert dict(content.metadata)["bc.quality"]["rows"] == "4"
 
 
 @BOTH_LAYOUTS
@@ -240,9 +240,9 @@ def foreign(path: Path) -> Path:
 
 def test_a_log_of_another_program_is_trimmed_by_time_alone(tmp_path: Path) -> None:
     path = foreign(tmp_path / "tf.mcap")
-    found = contents(trim_times(path, tmp_path / "b.mcap", 0.2, 0.45).path)
-    assert [message.data for message in found.messages] == [b"2", b"3", b"4"]
-    assert found.metadata == [("calibration", {"k": "1"})]
+    content = contents(trim_times(path, tmp_path / "b.mcap", 0.2, 0.45).path)
+    assert [message.data for message in content.messages] == [b"2", b"3", b"4"]
+    assert content.metadata == [("calibration", {"k": "1"})]
     with pytest.raises(LogError, match=r"tf\.mcap: no message of these times; it lasts 0\.9 s"):
         trim_times(path, tmp_path / "c.mcap", 5, 6)
     with pytest.raises(LogError, match=r"tf\.mcap: no rows in it .* only times"):
@@ -267,11 +267,11 @@ def test_a_merged_log_holds_all_in_order_with_row_numbers_of_its_own(tmp_path: P
     logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
     done = merge(logs, tmp_path / "all.mcap")
     one, two, three = (contents(log).messages for log in logs)
-    found = contents(done.path)
-    assert found.by_topic == by_topic([*one, *numbered_on(two, 20), *numbered_on(three, 35)])
-    numbers = [message.sequence for message in found.of("/vehicle")]
+    content = contents(done.path)
+    assert content.by_topic == by_topic([*one, *numbered_on(two, 20), *numbered_on(three, 35)])
+    numbers = [message.sequence for message in content.of("/vehicle")]
     assert len(set(numbers)) == len(numbers) == done.rows == 20 + 10 + 5
-    assert {name for name, _ in found.metadata} >= {"bc.session of one.mcap", "bc.session of three.mcap"}
+    assert {name for name, _ in content.metadata} >= {"bc.session of one.mcap", "bc.session of three.mcap"}
     with Log(done.path) as log:
         for name, row in (("one", 0), ("two", 25), ("three", 35)):
             own = row - {"one": 0, "two": 20, "three": 35}[name]
@@ -322,8 +322,8 @@ def test_what_was_merged_is_split_again_where_time_goes_back(tmp_path: Path) -> 
     logs = [drive(tmp_path / f"{name}.mcap", rows, name=name) for name, rows in NAMED_ROWS.items()]
     parts = split(merge(logs, tmp_path / "all.mcap").path, tmp_path)
     assert [part.rows for part in parts] == [20, 10, 5]
-    found = Counter(message for part in parts for message in contents(part.path).messages)
-    assert found == Counter(contents(tmp_path / "all.mcap").messages)
+    messages = Counter(message for part in parts for message in contents(part.path).messages)
+    assert messages == Counter(contents(tmp_path / "all.mcap").messages)
 
 
 def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:

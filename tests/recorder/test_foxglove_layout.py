@@ -43,8 +43,8 @@ TITLE = "foxglovePanelTitle"
 
 @pytest.fixture(scope="module")
 def layout() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(LAYOUT.read_text(encoding="utf-8"))
-    return found
+    content: dict[str, Any] = json.loads(LAYOUT.read_text(encoding="utf-8"))
+    return content
 
 
 def texts(value: object) -> Iterator[str]:

@@ -109,7 +109,9 @@ def test_three_equal_pictures_in_a_row_from_a_moving_car_are_frozen(
     for i, name in enumerate(pictures):
         image_check.add("/a", 100 + i, 5 * i, name.encode())
     standing = {(100 + i, 5 * i) for i, moving in enumerate(moves) if moving == "0"}
-    assert [found for pictures in image_check.pictures.values() for found in pictures.frozen(standing)] == expected
+    assert [
+        stretch for pictures in image_check.pictures.values() for stretch in pictures.frozen(standing)
+    ] == expected
 
 
 class _Job(Future[Any]):

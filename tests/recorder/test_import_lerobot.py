@@ -41,15 +41,15 @@ def imported(folder: Path, *, overwrite: Any = False, **topics: Any) -> Imported
 
 def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:
     """Time, row and content of every message on the cameras and the vehicle, by mcap's own reader."""
-    found: dict[str, list[tuple[Any, ...]]] = {}
+    by_topic: dict[str, list[tuple[Any, ...]]] = {}
     for topic, messages in read_messages(log).items():
         if topic == "/vehicle":
-            found[topic] = [
+            by_topic[topic] = [
                 (m.log_time, m.sequence, s.steering, s.throttle, s.brake, str(s.speed_mph)) for m, s in messages
             ]
         elif topic.startswith("/camera/"):
-            found[topic] = [(m.log_time, m.sequence, image.data) for m, image in messages]
-    return found
+            by_topic[topic] = [(m.log_time, m.sequence, image.data) for m, image in messages]
+    return by_topic
 
 
 def others(folder: Path, **info: Any) -> Path:
@@ -157,10 +157,10 @@ def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path
     done = imported(tmp_path / "out")
     assert (done.rows, done.pictures, list(done.skipped)) == (20, 60, [])
     assert "not the camera's original pictures" in done.notices[0]
-    found, original = content(done.path), content(log)
-    assert found["/vehicle"] == original["/vehicle"]
+    by_topic, original = content(done.path), content(log)
+    assert by_topic["/vehicle"] == original["/vehicle"]
     originals = [decoded(jpeg("center", row)) for row in range(20)]
-    for row, (*place, picture) in enumerate(found["/camera/center"]):
+    for row, (*place, picture) in enumerate(by_topic["/camera/center"]):
         assert place == list(original["/camera/center"][row][:2])
         errors = [np.abs(decoded(picture) - other).mean() for other in originals]
         assert errors[row] == min(errors) < 12
@@ -170,10 +170,10 @@ def test_of_others_names_tell_what_is_what(tmp_path: Path) -> None:
     done = imported(others(tmp_path / "theirs"))
     assert "action.steering_angle" in done.notices[0]
     times_ns = [0, 50_000_000, 100_000_000, 10_100_000_000, 10_150_000_000]
-    found = content(done.path)
-    assert found["/camera/center"] == [(t, row, jpeg("center", row)) for row, t in enumerate(times_ns)]
-    assert found["/vehicle"] == [
-        (t, row, STEERING[row], 0.5, 0.25, found["/vehicle"][row][5]) for row, t in enumerate(times_ns)
+    by_topic = content(done.path)
+    assert by_topic["/camera/center"] == [(t, row, jpeg("center", row)) for row, t in enumerate(times_ns)]
+    assert by_topic["/vehicle"] == [
+        (t, row, STEERING[row], 0.5, 0.25, by_topic["/vehicle"][row][5]) for row, t in enumerate(times_ns)
     ]
     with Log(done.path) as log:
         vehicle = log.vehicle()
@@ -206,9 +206,9 @@ def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureF
     assert "Give --steering, one of action.0, action.1" in capsys.readouterr().err
     steering = ["--steering", "action.1", "--steering-scale", -0.1]
     assert call(bc_record, "mine", "--from", theirs, *sessions, *image, *steering) == 0
-    found = content(tmp_path / "sessions/mine.mcap")
-    assert [row[2] for row in found["/vehicle"]] == pytest.approx([-value for value in STEERING])
-    assert [row[2] for row in found["/camera/center"]] == [jpeg("right", row) for row in range(5)]
+    by_topic = content(tmp_path / "sessions/mine.mcap")
+    assert [row[2] for row in by_topic["/vehicle"]] == pytest.approx([-value for value in STEERING])
+    assert [row[2] for row in by_topic["/camera/center"]] == [jpeg("right", row) for row in range(5)]
     assert call(bc_record, "mine", "--from", theirs, "--rate", 20, "--force", *sessions) == 1
     assert "its frames have their times" in capsys.readouterr().err
 

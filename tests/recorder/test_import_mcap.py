@@ -69,9 +69,9 @@ def png(level: int) -> bytes:
 
 def rows_of(log: Path) -> list[Row]:
     """The rows as mcap's own reader sees them; every picture has one, and they share time and number."""
-    found = read_messages(log)
+    messages = read_messages(log)
     rows = []
-    for (seen, picture), (driven, state) in zip(found["/camera/center"], found["/vehicle"], strict=True):
+    for (seen, picture), (driven, state) in zip(messages["/camera/center"], messages["/vehicle"], strict=True):
         assert (seen.log_time, seen.sequence) == (driven.log_time, driven.sequence)
         assert (state.throttle, state.brake, math.isnan(state.speed_mph)) == (0, 0, True)
         rows.append(((seen.log_time - START_NS) / S, state.steering, picture.data))

@@ -45,8 +45,8 @@ def exported_rows(folder: Path) -> list[int]:
 
 
 def lengths(folder: Path) -> list[int]:
-    found: list[int] = pq.read_table(folder / "meta/episodes")["length"].to_pylist()
-    return found
+    frames: list[int] = pq.read_table(folder / "meta/episodes")["length"].to_pylist()
+    return frames
 
 
 def test_every_frame_has_its_jpegs_steering_and_time_exactly(tmp_path: Path) -> None:
@@ -261,8 +261,8 @@ def test_a_file_ends_before_it_is_larger_than_the_formats_size(tmp_path: Path) -
         numbers.append(files.number)
     files.close()
     assert numbers == [(0, 0), (0, 0), (0, 1), (0, 2), (0, 3)]
-    found = [pq.read_table(path)["index"].to_pylist() for path in sorted(tmp_path.rglob("*.parquet"))]
-    assert found == [[0, 1], [2], [3], [4]]
+    indexes = [pq.read_table(path)["index"].to_pylist() for path in sorted(tmp_path.rglob("*.parquet"))]
+    assert indexes == [[0, 1], [2], [3], [4]]
 
 
 def test_nothing_that_exists_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

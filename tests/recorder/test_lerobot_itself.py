@@ -48,15 +48,15 @@ def run_python(tmp_path: Path, *arguments: object) -> None:
 
 
 def read_by_lerobot(tmp_path: Path, folder: Path) -> dict[str, Any]:
-    run_lerobot(tmp_path, "read", folder, tmp_path / "found.npz")
-    with np.load(tmp_path / "found.npz") as found:
-        return dict(found)
+    run_lerobot(tmp_path, "read", folder, tmp_path / "read.npz")
+    with np.load(tmp_path / "read.npz") as arrays:
+        return dict(arrays)
 
 
 def rgb(picture: bytes) -> Any:
-    found = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return found[..., ::-1].transpose(2, 0, 1)
+    bgr = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    assert bgr is not None
+    return bgr[..., ::-1].transpose(2, 0, 1)
 
 
 @pytest.fixture(scope="module")
@@ -67,57 +67,57 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(exported: Path) -> dict[str, Any]:
+def read_back(exported: Path) -> dict[str, Any]:
     return read_by_lerobot(exported.parent, exported)
 
 
-def test_its_batches_have_our_pictures_actions_and_times(found: dict[str, Any]) -> None:
+def test_its_batches_have_our_pictures_actions_and_times(read_back: dict[str, Any]) -> None:
     for camera in CAMERAS:
-        pictures = found[f"observation.images.{camera}"]
+        pictures = read_back[f"observation.images.{camera}"]
         for row in ROWS:
             # two decoders of JPEG may round differently
             assert np.abs(pictures[row].astype(int) - rgb(jpeg(camera, row))).max() <= 3
     expected = np.array([[steering(row), 0.1 * (row % 10), 0.0] for row in ROWS])
-    np.testing.assert_array_equal(found["action"], expected.astype(np.float32))
+    np.testing.assert_array_equal(read_back["action"], expected.astype(np.float32))
     before = np.where(np.isin(ROWS, [drive[0] for drive in DRIVES])[:, None], 0.0, np.roll(expected, 1, axis=0))
     states = np.column_stack([np.full(20, 9.3), before])
-    np.testing.assert_array_equal(found["observation.state"], states.astype(np.float32))
-    assert found["log_time_ns"].tolist() == TIMES_NS
-    np.testing.assert_array_equal(found["log_vehicle"][:, 0], expected[:, 0].astype(np.float32))
-    assert found["episode_index"].tolist() == [episode for episode, drive in enumerate(DRIVES) for _ in drive]
-    assert set(found["task"].tolist()) == {"Stay on the road."}
+    np.testing.assert_array_equal(read_back["observation.state"], states.astype(np.float32))
+    assert read_back["log_time_ns"].tolist() == TIMES_NS
+    np.testing.assert_array_equal(read_back["log_vehicle"][:, 0], expected[:, 0].astype(np.float32))
+    assert read_back["episode_index"].tolist() == [episode for episode, drive in enumerate(DRIVES) for _ in drive]
+    assert set(read_back["task"].tolist()) == {"Stay on the road."}
 
 
-def test_its_windows_end_with_an_episode(found: dict[str, Any]) -> None:
+def test_its_windows_end_with_an_episode(read_back: dict[str, Any]) -> None:
     for drive in DRIVES:
         for row in drive:
             wanted = [min(row + step, drive[-1]) for step in range(3)]
-            np.testing.assert_array_equal(found["windows"][row], found["action"][wanted])
-            assert found["windows_pad"][row].tolist() == [row + step > drive[-1] for step in range(3)]
+            np.testing.assert_array_equal(read_back["windows"][row], read_back["action"][wanted])
+            assert read_back["windows_pad"][row].tolist() == [row + step > drive[-1] for step in range(3)]
 
 
-def test_its_other_readers_and_its_merging_agree(found: dict[str, Any]) -> None:
-    assert found["last_episode"].tolist() == list(DRIVES[1])
-    assert sorted(found["streamed"].tolist()) == list(ROWS)
-    np.testing.assert_array_equal(found["merged"], np.concatenate([found["action"], found["action"]]))
+def test_its_other_readers_and_its_merging_agree(read_back: dict[str, Any]) -> None:
+    assert read_back["last_episode"].tolist() == list(DRIVES[1])
+    assert sorted(read_back["streamed"].tolist()) == list(ROWS)
+    np.testing.assert_array_equal(read_back["merged"], np.concatenate([read_back["action"], read_back["action"]]))
 
 
-def test_its_statistics_are_ours(found: dict[str, Any], exported: Path) -> None:
+def test_its_statistics_are_ours(read_back: dict[str, Any], exported: Path) -> None:
     (first, _) = pq.read_table(exported / "meta/episodes").to_pylist()
-    keys = [key for key in found if key.startswith(("stats/action/", "stats/observation.state/"))]
+    keys = [key for key in read_back if key.startswith(("stats/action/", "stats/observation.state/"))]
     assert len(keys) == 20
     for key in keys:
         # its quantiles are of the bins of a histogram
         tolerance = 0.3 if key.rpartition("/")[2].startswith("q") else 1e-5
-        np.testing.assert_allclose(first[key], found[key], atol=tolerance)
-    assert found["mean_of_pictures"].shape == (3, 1, 1)
+        np.testing.assert_allclose(first[key], read_back[key], atol=tolerance)
+    assert read_back["mean_of_pictures"].shape == (3, 1, 1)
 
 
 def test_its_frames_of_our_videos_are_those_of_the_rows(tmp_path: Path) -> None:
     export_lerobot([write_drives(tmp_path / "two.mcap")], tmp_path / "out", is_video=True)
-    found = read_by_lerobot(tmp_path, tmp_path / "out")
+    read_back = read_by_lerobot(tmp_path, tmp_path / "out")
     originals = [rgb(jpeg("left", row)).astype(int) for row in ROWS]
-    for row, picture in enumerate(found["observation.images.left"]):
+    for row, picture in enumerate(read_back["observation.images.left"]):
         errors = [np.abs(picture - original).mean() for original in originals]
         assert errors[row] == min(errors) < 12
 

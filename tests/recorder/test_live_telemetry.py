@@ -430,4 +430,4 @@ def test_an_event_of_another_hand_is_counted_or_not_but_no_error(tmp_path: Path)
     with LogWriter(tmp_path / "theirs.mcap", {"source": "test"}) as writer:
         for text in ("bad telemetry: x (,,, more)", "bad telemetry: x (1,000 more)", "bad telemetry: x ( more)"):
             writer.event(START_NS, text)
-    assert [found.where for found in check(tmp_path / "theirs.mcap").findings] == ["x (1,002)"]
+    assert [finding.where for finding in check(tmp_path / "theirs.mcap").findings] == ["x (1,002)"]

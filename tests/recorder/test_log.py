@@ -62,8 +62,8 @@ def write_one_of_each(path: Path) -> None:
 def test_what_is_written_on_every_topic_comes_back_from_mcaps_own_reader(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write_one_of_each(path)
-    found = {topic: messages[0] for topic, messages in read_messages(path).items()}
-    when = {topic: (message.log_time, message.sequence) for topic, (message, _) in found.items()}
+    first = {topic: messages[0] for topic, messages in read_messages(path).items()}
+    when = {topic: (message.log_time, message.sequence) for topic, (message, _) in first.items()}
     assert when == {
         "/camera/center": (5, 1),
         "/camera/left": (5, 1),
@@ -74,7 +74,7 @@ def test_what_is_written_on_every_topic_comes_back_from_mcaps_own_reader(tmp_pat
         "/pose": (8, 1),
         "/events": (9, 0),
     }
-    told = {topic: decoded for topic, (_, decoded) in found.items()}
+    told = {topic: decoded for topic, (_, decoded) in first.items()}
     for topic, level in (("/camera/center", 10), ("/camera/left", 20), ("/camera/right", 30)):
         assert (told[topic].data, told[topic].format) == (jpeg(level), "jpeg")
         assert (told[topic].timestamp.seconds, told[topic].timestamp.nanos) == (0, 5)
@@ -275,9 +275,9 @@ def test_text_that_is_not_utf8_is_written_escaped(tmp_path: Path) -> None:
     [(_, event)] = read_messages(tmp_path / "a.mcap")["/events"]
     assert (event.message, event.name) == ("skipped caf\\udce9", "caf\\udce9")
     with (tmp_path / "a.mcap").open("rb") as stream:
-        found = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
-    assert found["bc.session"].items() >= {"recording": "caf\\udce9", "caf\\udce9": "José"}.items()
-    assert "caf\\udce9" in found
+        metadata = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    assert metadata["bc.session"].items() >= {"recording": "caf\\udce9", "caf\\udce9": "José"}.items()
+    assert "caf\\udce9" in metadata
 
 
 @pytest.mark.parametrize("live", [True, False])

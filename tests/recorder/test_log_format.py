@@ -290,13 +290,13 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
 
 def test_every_topic_stands_on_the_page_with_its_schema(every_kind: dict[str, Written]) -> None:
     told = dict(re.findall(r"^\| `(/[a-zA-Z/]+)` \| `([\w.]+)` \|", section("Topics"), re.MULTILINE))
-    found: dict[str, str] = {}
+    schemas: dict[str, str] = {}
     for written in every_kind.values():
-        found |= {
+        schemas |= {
             re.sub("^/prediction/.+", "/prediction/NAME", topic): schema
             for topic, schema in written.schemas.items()
         }
-    assert told == found
+    assert told == schemas
 
 
 def test_every_metadata_key_stands_on_the_page(every_kind: dict[str, Written]) -> None:
@@ -353,8 +353,8 @@ def test_what_belongs_to_one_row_has_its_number_and_its_time(every_kind: dict[st
         rows = read_messages(every_kind["simulator" if kind == "prediction" else kind].path)["/vehicle"]
         times = {message.sequence: message.log_time for message, _ in rows}
         assert len(times) == len(rows), kind
-        for topic, found in messages.items():
-            for message, decoded in found:
+        for topic, topic_messages in messages.items():
+            for message, decoded in topic_messages:
                 assert message.publish_time == message.log_time, (kind, topic)
                 if topic == "/events":
                     assert message.sequence == 0, kind

@@ -88,13 +88,13 @@ def expected(original: Contents, lost: list[StoredChunk]) -> tuple[list[Stored],
 
 def numbers(written: Written, reason: str, topic: str = "") -> set[int]:
     """The rows that are named for a reason."""
-    found: set[int] = set()
+    rows: set[int] = set()
     for why, where in written.skipped:
         if why == reason and where.startswith(topic):
             words = where.split()
-            found.update(range(int(words[words.index("rows") + 1]), int(words[-1]) + 1) if "rows" in words else ())
-            found.update([int(words[-1])] if "row" in words else ())
-    return found
+            rows.update(range(int(words[words.index("rows") + 1]), int(words[-1]) + 1) if "rows" in words else ())
+            rows.update([int(words[-1])] if "row" in words else ())
+    return rows
 
 
 def complaints_of(whole: Path, lost: list[StoredChunk], *, is_killed: bool = False) -> Iterator[str]:
@@ -102,9 +102,9 @@ def complaints_of(whole: Path, lost: list[StoredChunk], *, is_killed: bool = Fal
     left, gone = expected(original, lost)
     to = whole.with_name("recovered.mcap")
     written = recover(without(whole, lost, is_killed=is_killed), to, overwrite=True)
-    found = contents(to)
-    if found.by_topic != by_topic(left):
-        yield f"{len(found.messages)} messages, not {len(left)}"
+    content = contents(to)
+    if content.by_topic != by_topic(left):
+        yield f"{len(content.messages)} messages, not {len(left)}"
     hit = [m for chunk in original.chunks if chunk not in lost for m in chunk.messages if m not in left]
     last = (
         max(driven(left)) if is_killed else max(m.sequence for m in [*left, *hit])
@@ -161,12 +161,14 @@ def test_without_any_row_the_pictures_are_kept_and_the_rows_are_named(whole: Pat
     original = contents(whole)
     lost = [chunk for chunk in original.chunks if not is_of_pictures(chunk)]
     written = recover(without(whole, lost), whole.with_name("recovered.mcap"))
-    found = contents(written.path)
-    assert found.by_topic == by_topic(m for chunk in original.chunks if chunk not in lost for m in chunk.messages)
+    content = contents(written.path)
+    assert content.by_topic == by_topic(
+        m for chunk in original.chunks if chunk not in lost for m in chunk.messages
+    )
     assert numbers(written, MISSING) == driven(original.messages)
     damaged, count = whole.with_name("damaged.mcap"), len(original.messages)
     assert written.notices == [
-        f"{damaged}: lost in all: {count - len(found.messages):,} of {count:,} messages",
+        f"{damaged}: lost in all: {count - len(content.messages):,} of {count:,} messages",
         f"{damaged}: no complete row in it: the new log has no rows",
     ]
     kinds = {kind for kind, _ in check(written.path, look=False).findings}

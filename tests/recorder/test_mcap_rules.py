@@ -78,16 +78,16 @@ def mended(data: bytearray) -> bytes:
 
 def of_no_rule(data: bytes) -> set[int]:
     """Places of bytes that may be anything: what the header and metadata say; and in chunks, whose CRCs tell."""
-    found, position = set[int](), 8
+    places, position = set[int](), 8
     while position < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, position)
         end = position + 9 + length
         if opcode in (Opcode.HEADER, Opcode.METADATA):
-            found |= set(range(position + 9, end))
+            places |= set(range(position + 9, end))
         elif opcode == Opcode.CHUNK:
-            found |= set(range(position + 49, end))
+            places |= set(range(position + 49, end))
         position = end
-    return found
+    return places
 
 
 @pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.long)])

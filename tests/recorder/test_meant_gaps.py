@@ -23,7 +23,7 @@ GAP = MeantGap(1.0, "the car was pushed off its line")
 
 
 def findings(path: Path) -> list[tuple[str, str]]:
-    return [(found.kind, found.where) for found in check(path).findings]
+    return [(finding.kind, finding.where) for finding in check(path).findings]
 
 
 def log_of(
@@ -48,7 +48,7 @@ def write_rows(
 
 
 @pytest.mark.parametrize(
-    ("at_s", "events", "found"),
+    ("at_s", "events", "expected"),
     [
         ([0.0, 0.1, 1.2, 1.3], {1.2: EVENT}, []),
         ([0.0, 0.1, 1.2, 1.3], {}, ["before row 2"]),
@@ -60,14 +60,14 @@ def write_rows(
     ],
 )
 def test_a_gap_counts_unless_an_event_at_its_row_tells_its_length(
-    tmp_path: Path, at_s: list[float], events: dict[float, str], found: list[str]
+    tmp_path: Path, at_s: list[float], events: dict[float, str], expected: list[str]
 ) -> None:
     path = log_of(tmp_path / "a.mcap", at_s, events)
-    assert findings(path) == [("gaps in time", where) for where in found]
+    assert findings(path) == [("gaps in time", where) for where in expected]
 
 
 @pytest.mark.parametrize(
-    ("at_s", "gaps", "found"),
+    ("at_s", "gaps", "expected"),
     [
         ([0.0, 0.1, 1.2, 1.3], {1.2: GAP}, []),
         ([0.0, 0.1, 1.2, 1.3], {1.3: GAP}, ["before row 2"]),  # not at the row behind it
@@ -76,15 +76,15 @@ def test_a_gap_counts_unless_an_event_at_its_row_tells_its_length(
     ],
 )
 def test_a_gap_counts_unless_the_row_behind_it_has_its_length(
-    tmp_path: Path, at_s: list[float], gaps: dict[float, MeantGap], found: list[str]
+    tmp_path: Path, at_s: list[float], gaps: dict[float, MeantGap], expected: list[str]
 ) -> None:
     path = log_of(tmp_path / "a.mcap", at_s, {}, gaps)
-    assert findings(path) == [("gaps in time", where) for where in found]
-    assert describe(path).meant_gaps == ([] if found else [2])
+    assert findings(path) == [("gaps in time", where) for where in expected]
+    assert describe(path).meant_gaps == ([] if expected else [2])
 
 
 @pytest.mark.parametrize(
-    ("events", "found"),
+    ("events", "expected"),
     [
         ({0.2: HUMAN, 3.2: PILOT}, []),
         ({0.2: HUMAN, 3.1: PILOT}, []),  # as earlier versions wrote it: right before the row
@@ -97,13 +97,13 @@ def test_a_gap_counts_unless_the_row_behind_it_has_its_length(
     ],
 )
 def test_a_gap_in_which_a_human_drove_is_no_finding(
-    tmp_path: Path, events: dict[float, str], found: list[str]
+    tmp_path: Path, events: dict[float, str], expected: list[str]
 ) -> None:
     path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 3.2, 3.3], events)
-    assert findings(path) == [("gaps in time", where) for where in found]
+    assert findings(path) == [("gaps in time", where) for where in expected]
     copy = tmp_path / "copy.mcap"  # its writer reads the events
     assert call(main, "rewrite", path, "--to", copy) == 0
-    assert describe(copy).meant_gaps == ([] if found else [2])
+    assert describe(copy).meant_gaps == ([] if expected else [2])
 
 
 def test_rows_that_are_cut_out_are_missed(tmp_path: Path) -> None:

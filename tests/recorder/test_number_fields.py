@@ -50,9 +50,9 @@ def test_any_bytes_give_what_protobuf_makes_of_them(contents: list[bytes]) -> No
         with pytest.raises(DecodeError):
             decode_numbers(contents, VehicleState, NAMES)
     else:
-        found = decode_numbers(contents, VehicleState, NAMES)
-        assert found.shape == (4, len(contents))
-        assert found.astype("<f8").tobytes() == expected
+        decoded = decode_numbers(contents, VehicleState, NAMES)
+        assert decoded.shape == (4, len(contents))
+        assert decoded.astype("<f8").tobytes() == expected
 
 
 commands = st.builds(
@@ -90,8 +90,8 @@ def test_enums_and_fields_that_may_be_missing_are_those_of_protobuf(contents: li
 
 def test_fields_are_given_in_the_order_that_is_asked_for() -> None:
     contents = [VehicleState(steering=0.5, speed_mph=row).SerializeToString() for row in range(3)]
-    found = decode_numbers(contents, VehicleState, ("speed_mph", "steering"))
-    assert found.tolist() == [[0, 1, 2], [0.5, 0.5, 0.5]]
+    decoded = decode_numbers(contents, VehicleState, ("speed_mph", "steering"))
+    assert decoded.tolist() == [[0, 1, 2], [0.5, 0.5, 0.5]]
 
 
 def test_fields_of_fields_are_read_as_well() -> None:

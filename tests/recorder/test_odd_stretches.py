@@ -62,14 +62,14 @@ def test_without_a_brake_it_may_roll_downhill_and_is_not_sure() -> None:
 
 def test_the_approach_the_reversing_and_the_way_out_belong_to_the_crash() -> None:
     wall = [(1.0, 0.0, 1.0, 0.1, 0.1), (3.0, 1.0, -1.0, 0.0, 6.0), (1.0, 0.0, 1.0, 6.0, 0.0), START]
-    (found,) = odd_stretches(driven(CRUISE, *wall, CRUISE))
-    assert (found.kind, found.is_sure, found.is_learnt) == ("crash", True, False)
-    assert found.begin_s == pytest.approx(14.0, abs=0.1)
-    assert 20.5 <= found.end_s <= 21.5
-    assert "hits something at row 250" in found.cause
-    assert "backwards" in found.cause
-    assert found.command(Path("my logs/a.mcap")) == (
-        f"bc-log tag 'my logs/a.mcap' exclude --rows {found.first_row} {found.last_row}"
+    (crash,) = odd_stretches(driven(CRUISE, *wall, CRUISE))
+    assert (crash.kind, crash.is_sure, crash.is_learnt) == ("crash", True, False)
+    assert crash.begin_s == pytest.approx(14.0, abs=0.1)
+    assert 20.5 <= crash.end_s <= 21.5
+    assert "hits something at row 250" in crash.cause
+    assert "backwards" in crash.cause
+    assert crash.command(Path("my logs/a.mcap")) == (
+        f"bc-log tag 'my logs/a.mcap' exclude --rows {crash.first_row} {crash.last_row}"
     )
 
 
@@ -146,14 +146,14 @@ def test_what_is_odd_ends_with_the_command_that_excludes_it() -> None:
 def test_on_real_recordings_the_crashes_are_found_and_nothing_else(recordings: Path) -> None:
     """Film strips of all of them were looked at: four walls of the old mountain, two of them one after the other,
     and the tree at which the jungle ends."""
-    found = {}
+    by_name = {}
     for name in ("lake_windows", "lake_14hz", "jungle_linux", "mountain_linux"):
         rows = [row for row, _ in UdacityRecording(recordings / name, Skipped()).rows()]
         values = [(row.steering, row.throttle, row.brake, row.speed_mph) for row in rows]
         time_ns = np.array([row.time_ns for row in rows])
         odd = odd_stretches(States(np.arange(len(rows)), time_ns, *np.array(values).T.copy()))
-        found[name] = [(stretch.kind, stretch.first_row, stretch.last_row) for stretch in odd]
-    assert found == {
+        by_name[name] = [(stretch.kind, stretch.first_row, stretch.last_row) for stretch in odd]
+    assert by_name == {
         "lake_windows": [],
         "lake_14hz": [],
         "jungle_linux": [("crash", 1143, 1166)],

@@ -56,18 +56,18 @@ def test_a_car_that_comes_back_without_a_stop_is_named(tmp_path: Path, capsys: p
     off = drive(log, steer=True)
     assert len(off) > 8
     for odd in (describe(log).odd or [], check(log, look=False).odd):
-        (found,) = odd
-        assert (found.kind, found.is_sure, found.is_learnt) == ("off_road", True, True)
-        assert {*range(found.first_row, found.last_row + 1)} ^ off <= {min(off), max(off)}
-    assert f"off the road: rows {found.first_row} to {found.last_row}, " in str(found)
-    assert "m beyond the edge)" in str(found)
+        (stretch,) = odd
+        assert (stretch.kind, stretch.is_sure, stretch.is_learnt) == ("off_road", True, True)
+        assert {*range(stretch.first_row, stretch.last_row + 1)} ^ off <= {min(off), max(off)}
+    assert f"off the road: rows {stretch.first_row} to {stretch.last_row}, " in str(stretch)
+    assert "m beyond the edge)" in str(stretch)
     part = tmp_path / "part.mcap"
     assert call(bc_log, "trim", log, "--to", part, "--rows", 20, ROWS - 1) == 0
     (of_part,) = describe(part).odd or []
-    assert (of_part.kind, of_part.rows) == ("off_road", found.rows)
+    assert (of_part.kind, of_part.rows) == ("off_road", stretch.rows)
     capsys.readouterr()
     assert call(bc_log, "tag", log, "exclude", "--odd") == 0
-    assert capsys.readouterr().out == f"exclude: rows {found.first_row} to {found.last_row}\n"
+    assert capsys.readouterr().out == f"exclude: rows {stretch.first_row} to {stretch.last_row}\n"
 
 
 def test_a_car_on_its_road_or_on_an_unknown_one_is_not_named(tmp_path: Path) -> None:

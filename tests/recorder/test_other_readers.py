@@ -69,10 +69,10 @@ def digest(data: bytes) -> str:
     return sha256(data).hexdigest()
 
 
-def gathered(found: Iterable[tuple[Schema | None, Channel, Message]]) -> Read:
+def gathered(stored: Iterable[tuple[Schema | None, Channel, Message]]) -> Read:
     messages: dict[str, list[Told]] = defaultdict(list)
     schemas = {}
-    for schema, channel, message in found:
+    for schema, channel, message in stored:
         assert schema is not None
         told = Told(message.sequence, message.log_time, message.publish_time, digest(message.data))
         messages[channel.topic].append(told)
@@ -80,12 +80,12 @@ def gathered(found: Iterable[tuple[Schema | None, Channel, Message]]) -> Read:
     return Read(dict(messages), schemas)
 
 
-def by_time(found: dict[str, list[Told]]) -> dict[str, list[Told]]:
-    return {topic: sorted(messages, key=lambda told: told.log_time) for topic, messages in found.items()}
+def by_time(by_topic: dict[str, list[Told]]) -> dict[str, list[Told]]:
+    return {topic: sorted(messages, key=lambda told: told.log_time) for topic, messages in by_topic.items()}
 
 
-def backwards(found: dict[str, list[Told]]) -> dict[str, list[Told]]:
-    return {topic: messages[::-1] for topic, messages in by_time(found).items()}
+def backwards(by_topic: dict[str, list[Told]]) -> dict[str, list[Told]]:
+    return {topic: messages[::-1] for topic, messages in by_time(by_topic).items()}
 
 
 # The logs
@@ -139,11 +139,11 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], P
         write_drive(first)
         write_drive(live, live=True)
         merge([write_drive(folder / "later.mcap", START_NS + 10**12), first], two)
-    found: dict[tuple[str, str], Path] = {}
+    logs: dict[tuple[str, str], Path] = {}
     for name, path in zip(LOGS, (first, live, two), strict=True):
         before = write_as_before(path, path.with_stem(f"{path.stem}-before"), CHUNK_BYTES)
-        found |= {(layout, name): log for layout, log in zip(LAYOUTS, (path, before), strict=True)}
-    return found
+        logs |= {(layout, name): log for layout, log in zip(LAYOUTS, (path, before), strict=True)}
+    return logs
 
 
 @pytest.fixture(params=LAYOUTS)
@@ -164,7 +164,7 @@ def log(layout: str, name: str, written: dict[tuple[str, str], Path]) -> Path:
 def ours(path: Path) -> Read:
     """What this toolkit reads, chunk by chunk."""
     with Log(path) as opened:
-        return gathered(found for chunk in opened.chunks for found in opened.messages_of(chunk))
+        return gathered(stored for chunk in opened.chunks for stored in opened.messages_of(chunk))
 
 
 def test_logs_are_complete_and_their_layouts_have_their_names(
@@ -195,11 +195,11 @@ def test_the_messages_of_a_topic_are_those_of_the_chunks(log: Path) -> None:
     with Log(log) as opened:
         assert opened.schemas == {topic: name for topic, (name, *_) in expected.schemas.items()}
         for topic, messages in expected.messages.items():
-            found = []
+            of_topic = []
             for message in opened.messages(topic):
                 content = digest(opened.read(message.offset, message.length, message.chunk))
-                found.append(Told(message.sequence, message.log_time_ns, message.log_time_ns, content))
-            assert found == messages, topic
+                of_topic.append(Told(message.sequence, message.log_time_ns, message.log_time_ns, content))
+            assert of_topic == messages, topic
 
 
 # mcap
@@ -254,13 +254,13 @@ def foxglove(path: Path, *topic: str) -> dict[str, Any]:
     line = ["node", str(FOXGLOVE / "read.mjs"), str(path), *topic]
     done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
 
 
-def in_topics(found: list[tuple[str, int, str, str, str]]) -> dict[str, list[Told]]:
+def in_topics(stored: list[tuple[str, int, str, str, str]]) -> dict[str, list[Told]]:
     messages: dict[str, list[Told]] = defaultdict(list)
-    for topic, sequence, log_time, publish_time, content in found:
+    for topic, sequence, log_time, publish_time, content in stored:
         messages[topic].append(Told(sequence, int(log_time), int(publish_time), content))
     return dict(messages)
 
@@ -268,28 +268,28 @@ def in_topics(found: list[tuple[str, int, str, str, str]]) -> dict[str, list[Tol
 @needs_foxglove
 def test_foxgloves_readers_agree(log: Path) -> None:
     expected = ours(log)
-    found = foxglove(log)
-    assert in_topics(found["streamed"]) == expected.messages
-    assert in_topics(found["indexed"]) == by_time(expected.messages)
-    assert in_topics(found["backwards"]) == backwards(expected.messages)
-    assert {topic: tuple(schema) for topic, schema in found["schemas"].items()} == expected.schemas
+    answer = foxglove(log)
+    assert in_topics(answer["streamed"]) == expected.messages
+    assert in_topics(answer["indexed"]) == by_time(expected.messages)
+    assert in_topics(answer["backwards"]) == backwards(expected.messages)
+    assert {topic: tuple(schema) for topic, schema in answer["schemas"].items()} == expected.schemas
     with Log(log) as opened:
-        assert found["counts"] == opened.counts
+        assert answer["counts"] == opened.counts
         metadata = [[name, values] for name, values in opened.all_metadata()]
-    assert found["metadata"] == found["streamed_metadata"] == metadata
+    assert answer["metadata"] == answer["streamed_metadata"] == metadata
     attachments = [[name, digest(data)] for name, data in contents(log).attachments]
-    assert found["attachments"] == found["streamed_attachments"] == attachments
+    assert answer["attachments"] == answer["streamed_attachments"] == attachments
 
 
 @needs_foxglove
 def test_foxglove_draws_a_curve_without_reading_pictures(written: dict[tuple[str, str], Path], name: str) -> None:
     path = written[LAYOUTS[0], name]
-    found = foxglove(path, "/vehicle")
-    assert in_topics(found["indexed"]) == {"/vehicle": by_time(ours(path).messages)["/vehicle"]}
+    answer = foxglove(path, "/vehicle")
+    assert in_topics(answer["indexed"]) == {"/vehicle": by_time(ours(path).messages)["/vehicle"]}
     chunks = contents(path).chunks
     small = sum(chunk.end - chunk.start for chunk in chunks if not is_of_pictures(chunk.messages[0].topic))
     beside = path.stat().st_size - sum(chunk.end - chunk.start for chunk in chunks)  # indexes, summary
-    assert found["bytes"] <= small + beside
+    assert answer["bytes"] <= small + beside
 
 
 # Rerun
@@ -320,7 +320,7 @@ def rerun_rows(path: Path, decoders: list[str] | None = None) -> dict[str, list[
 
 def test_reruns_reader_agrees(log: Path) -> None:
     """It tells no sequence numbers, and what it gives together is in the order of time."""
-    found = {
+    by_topic = {
         topic: sorted(
             (row["message_log_time"], row["message_publish_time"], digest(bytes(row["McapMessage:data"][0])))
             for row in rows
@@ -328,7 +328,7 @@ def test_reruns_reader_agrees(log: Path) -> None:
         for topic, rows in rerun_rows(log, ["raw"]).items()
     }
     expected = ours(log)
-    assert found == {
+    assert by_topic == {
         topic: [told[1:] for told in messages] for topic, messages in by_time(expected.messages).items()
     }
     info = RerunReader(log).info()

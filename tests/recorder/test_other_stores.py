@@ -61,9 +61,9 @@ def gcs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
 
 @pytest.fixture(params=[pytest.param("azure", marks=pytest.mark.long), "gcs"])
 def store(request: pytest.FixtureRequest) -> Iterator[Store]:
-    found: Store = request.getfixturevalue(request.param)
-    yield found
-    found.way.pass_all()
+    chosen: Store = request.getfixturevalue(request.param)
+    yield chosen
+    chosen.way.pass_all()
 
 
 @pytest.fixture

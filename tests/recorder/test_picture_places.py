@@ -138,11 +138,11 @@ FALSE: dict[str, Change] = {
 @pytest.mark.parametrize("change", FALSE.values(), ids=FALSE)
 def test_whatever_is_false_of_a_picture_is_found(path: Path, change: Change) -> None:
     patched(path, changed("bc.pictures", PLACE, change))
-    found = check(path, look=False).findings
-    assert {kind for kind, _ in found} <= {OTHER_PICTURES, NOT_OURS}
+    findings = check(path, look=False).findings
+    assert {kind for kind, _ in findings} <= {OTHER_PICTURES, NOT_OURS}
     starts = [f"at byte {chunk.start:,}" for chunk in contents(path).chunks]
-    assert found
-    assert all(where in [*starts, "bc.pictures"] for _, where in found)
+    assert findings
+    assert all(where in [*starts, "bc.pictures"] for _, where in findings)
 
 
 def test_another_crc_of_a_chunk_is_found(path: Path) -> None:
@@ -234,8 +234,8 @@ def test_what_the_summary_tells_falsely_of_a_chunk_is_found(
 
 
 def test_rows_that_are_told_to_be_pictures_are_found(path: Path) -> None:
-    found = contents(path)
-    number = next(i for i, chunk in enumerate(found.chunks) if chunk.messages[0].topic == "/vehicle")
+    content = contents(path)
+    number = next(i for i, chunk in enumerate(content.chunks) if chunk.messages[0].topic == "/vehicle")
 
     def as_pictures(index: ChunkIndex) -> None:
         index.message_index_offsets = {1: next(iter(index.message_index_offsets.values()))}
@@ -243,7 +243,7 @@ def test_rows_that_are_told_to_be_pictures_are_found(path: Path) -> None:
     truth = given_out(path)
     patched(path, summary=of_chunks(as_pictures, number))
     assert given_out(path) == truth
-    where = f"at byte {found.chunks[number].start:,}"
+    where = f"at byte {content.chunks[number].start:,}"
     assert ("chunks with wrong topics in the summary", where) in check(path, look=False).findings
 
 

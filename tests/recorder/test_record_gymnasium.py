@@ -33,8 +33,8 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def states(name: str) -> dict[str, Any]:
     """The rows of a session, by column."""
     with Log(f"sessions/{name}.mcap") as log:
-        found: dict[str, Any] = log.vehicle().to_pydict()
-        return found
+        columns: dict[str, Any] = log.vehicle().to_pydict()
+        return columns
 
 
 def places(name: str) -> list[float]:

@@ -66,9 +66,9 @@ def test_the_next_one_begins_at_rest_at_the_start_after_a_gap(both: Path, slow: 
 
 def test_the_same_speed_again_is_another_drive(tmp_path: Path) -> None:
     drive = SimulatedDrive(laps=LAPS / 4, speed=(10.0, 10.0), seed=5, rate=5.0)
-    found = rows(record_simulated(drive, tmp_path / "twice.mcap").path)
-    (begin,) = [row for row, (_, _, speed_mph) in enumerate(found) if row and speed_mph == 0.0]
-    first, second = ([steering for _, steering, _ in found[part]] for part in (slice(begin), slice(begin, None)))
+    driven = rows(record_simulated(drive, tmp_path / "twice.mcap").path)
+    (begin,) = [row for row, (_, _, speed_mph) in enumerate(driven) if row and speed_mph == 0.0]
+    first, second = ([steering for _, steering, _ in driven[part]] for part in (slice(begin), slice(begin, None)))
     assert first != second
 
 

@@ -17,12 +17,12 @@ CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(4))
 
 def test_a_recording_of_udacity_has_the_rows_and_oddities_of_its_import(tmp_path: Path) -> None:
     make_recording(tmp_path / "lake", CSV + "not a row\n", numbers=(0, 1, 2))
-    found = summarize_recording(tmp_path / "lake")
+    summary = summarize_recording(tmp_path / "lake")
     imported = import_udacity(tmp_path / "lake", tmp_path / "lake.mcap")
-    assert (found.kind, found.rows, found.problem) == ("recording of Udacity's simulator", "4 rows", "")
+    assert (summary.kind, summary.rows, summary.problem) == ("recording of Udacity's simulator", "4 rows", "")
     assert imported.rows == 4
-    assert list(found.oddities) == imported.skipped.lines(max_names=3)
-    assert len(found.oddities) == 2  # the line, and the fourth row's pictures
+    assert list(summary.oddities) == imported.skipped.lines(max_names=3)
+    assert len(summary.oddities) == 2  # the line, and the fourth row's pictures
 
 
 def test_each_kind_is_recognised(tmp_path: Path) -> None:

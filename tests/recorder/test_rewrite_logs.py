@@ -136,11 +136,11 @@ def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Pa
         recover(filtered, tmp_path / "recovered.mcap").path: "recovered_from",
     }
     for log, key in made.items():
-        found = contents(log)
-        assert found.profile == "bc"
-        assert found.by_topic == contents(old).by_topic
-        assert dict(found.metadata)["bc.session"].items() >= {"toolkit": "unknown", key: "filtered.mcap"}.items()
-        assert [name for name, _ in found.attachments] == ["bc.pictures", "bc.chunks"]
+        content = contents(log)
+        assert content.profile == "bc"
+        assert content.by_topic == contents(old).by_topic
+        assert dict(content.metadata)["bc.session"].items() >= {"toolkit": "unknown", key: "filtered.mcap"}.items()
+        assert [name for name, _ in content.attachments] == ["bc.pictures", "bc.chunks"]
         assert check(log).findings == []
     assert fingerprints(tmp_path / "rewritten.mcap")[0] == fingerprints(filtered)[0]
 

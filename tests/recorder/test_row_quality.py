@@ -170,15 +170,15 @@ numbers = st.floats(width=32) | st.sampled_from([0.0, -0.0, 1.0, math.inf, math.
 def test_whatever_a_log_holds_its_rows_are_judged(rows: list[tuple[int, float, float, float, float]]) -> None:
     """Warnings are errors here, NumPy's of infinite values too."""
     columns = list(zip(*rows, strict=True)) or [()] * 5
-    found = States(
+    states = States(
         np.arange(len(rows)),
         np.array(columns[0], np.int64),
         *(np.array(column, np.float64) for column in columns[1:]),
     )
-    flags = row_flags(found)
+    flags = row_flags(states)
     assert tuple(flags) == ROW_FLAGS
     assert {len(mask) for mask in flags.values()} == {len(rows)}
-    told = summary(found)
+    told = summary(states)
     assert {flag: told[flag] for flag in flags} == {flag: str(sum(mask.tolist())) for flag, mask in flags.items()}
 
 

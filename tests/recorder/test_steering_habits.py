@@ -44,23 +44,23 @@ def hand(seconds: float, rate_hz: float = 10.0) -> list[float]:
 
 
 def test_the_figures_of_a_keyboard() -> None:
-    found = steering_habits(rows_of(keys(100)))
-    assert (found.kind, found.keys, found.rows) == ("steps", True, 1000)
-    assert found.rate_hz == pytest.approx(10)
+    habits = steering_habits(rows_of(keys(100)))
+    assert (habits.kind, habits.keys, habits.rows) == ("steps", True, 1000)
+    assert habits.rate_hz == pytest.approx(10)
     # 0.1 to 0.5 s of each 2 s: five of twenty rows
-    assert (found.zeros, found.presses) == (0.75, 50)
-    assert found.press_s == pytest.approx(0.5)
-    assert (found.left, found.right) == (0.125, 0.125)
-    assert found.values == 7  # 0, and three to each side
-    assert found.spread_deg == pytest.approx(25 * np.std(keys(100)))
-    assert found.largest_deg == pytest.approx(25 * 0.9)
+    assert (habits.zeros, habits.presses) == (0.75, 50)
+    assert habits.press_s == pytest.approx(0.5)
+    assert (habits.left, habits.right) == (0.125, 0.125)
+    assert habits.values == 7  # 0, and three to each side
+    assert habits.spread_deg == pytest.approx(25 * np.std(keys(100)))
+    assert habits.largest_deg == pytest.approx(25 * 0.9)
 
 
 def test_a_hand_at_the_wheel_is_smooth() -> None:
-    found = steering_habits(rows_of(hand(100)))
-    assert (found.kind, found.keys) == ("smooth", False)
-    assert found.ceiling[1] is not None
-    assert found.ceiling[1] > 0.99
+    habits = steering_habits(rows_of(hand(100)))
+    assert (habits.kind, habits.keys) == ("smooth", False)
+    assert habits.ceiling[1] is not None
+    assert habits.ceiling[1] > 0.99
 
 
 def test_a_hand_is_in_time_only_if_pictures_have_told() -> None:
@@ -108,9 +108,9 @@ def test_the_ceiling_is_the_correlation_with_neighbours_of_a_drive() -> None:
     time_s[100:] += 2.5
     time_s[150] += 1000
     time_s[151:] += 2000
-    found = steering_habits(rows_of(list(steering), time_s=list(time_s)))
+    habits = steering_habits(rows_of(list(steering), time_s=list(time_s)))
     gaps = np.concatenate([[0], np.cumsum((np.diff(time_s) > 1) | (np.diff(time_s) < 0))])
-    for width_s, ceiling in zip((0.25, 0.5, 1.0), found.ceiling, strict=True):
+    for width_s, ceiling in zip((0.25, 0.5, 1.0), habits.ceiling, strict=True):
         pairs = []
         for i in range(200):
             near = [
@@ -146,15 +146,15 @@ def test_a_session_that_tells_nothing_is_named_and_learnt_as_recorded(name: str)
 
 
 def test_one_direction_only_is_told() -> None:
-    found = steering_habits(rows_of([abs(value) for value in keys(100)]))
-    assert (found.kind, found.left, found.right) == ("steps", 0.0, 0.25)
+    habits = steering_habits(rows_of([abs(value) for value in keys(100)]))
+    assert (habits.kind, habits.left, habits.right) == ("steps", 0.0, 0.25)
 
 
 @pytest.mark.parametrize("rate_hz", [5, 15, 60])
 def test_keys_are_keys_at_any_rate(rate_hz: int) -> None:
-    found = steering_habits(rows_of(keys(100, rate_hz), rate_hz))
-    assert (found.kind, found.keys) == ("steps", True)
-    assert found.press_s == pytest.approx(0.6, abs=0.21)
+    habits = steering_habits(rows_of(keys(100, rate_hz), rate_hz))
+    assert (habits.kind, habits.keys) == ("steps", True)
+    assert habits.press_s == pytest.approx(0.6, abs=0.21)
 
 
 def test_times_that_jump_do_not_count() -> None:
@@ -163,10 +163,10 @@ def test_times_that_jump_do_not_count() -> None:
     time_s[300:] += 1e8
     time_s[600:] -= 1.5e8
     time_s[800:] -= 0.1
-    found, plain = (steering_habits(rows_of(keys(100), time_s=at)) for at in (list(time_s), None))
-    assert found.driven_s == pytest.approx(99.6)  # 99.9, and three steps less
-    assert (found.kind, found.zeros) == (plain.kind, plain.zeros)
-    assert found.rate_hz == pytest.approx(10)
+    habits, plain = (steering_habits(rows_of(keys(100), time_s=at)) for at in (list(time_s), None))
+    assert habits.driven_s == pytest.approx(99.6)  # 99.9, and three steps less
+    assert (habits.kind, habits.zeros) == (plain.kind, plain.zeros)
+    assert habits.rate_hz == pytest.approx(10)
 
 
 numbers = st.floats() | st.sampled_from([0.0, 1.0, -1.0, math.inf, math.nan])

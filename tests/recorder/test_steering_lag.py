@@ -24,11 +24,11 @@ def lag_of(path: Path) -> SteeringLag | None:
 
 @pytest.mark.parametrize("late_s", [-0.5, -0.2, 0.0, 0.1, 0.3, 0.6])
 def test_steering_that_was_recorded_late_or_early_is_found_out(late_s: float, tmp_path: Path) -> None:
-    found = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - late_s)))
-    assert found is not None
-    assert found.lag_s == pytest.approx(late_s, abs=0.051)
-    assert found.correlation > 0.9
-    assert found.pictures == ROWS
+    lag = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: hand(at_s - late_s)))
+    assert lag is not None
+    assert lag.lag_s == pytest.approx(late_s, abs=0.051)
+    assert lag.correlation > 0.9
+    assert lag.pictures == ROWS
 
 
 def _recorded(wheel: Seconds, at_s: Seconds) -> Seconds:
@@ -49,16 +49,16 @@ def test_a_noisy_lag_has_a_wider_margin_that_holds_the_true_one(tmp_path: Path) 
 
 
 def test_pictures_that_turn_the_other_way_are_told(tmp_path: Path) -> None:
-    found = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: -hand(at_s - 0.2)))
-    assert found is not None
-    assert found.lag_s == pytest.approx(0.2, abs=0.051)
-    assert found.correlation < -0.9
+    lag = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: -hand(at_s - 0.2)))
+    assert lag is not None
+    assert lag.lag_s == pytest.approx(0.2, abs=0.051)
+    assert lag.correlation < -0.9
 
 
 def test_an_unknown_speed_does_not_matter(tmp_path: Path) -> None:
-    found = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), speed_mph=float("nan")))
-    assert found is not None
-    assert found.lag_s == pytest.approx(0, abs=0.051)
+    lag = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), speed_mph=float("nan")))
+    assert lag is not None
+    assert lag.lag_s == pytest.approx(0, abs=0.051)
 
 
 def test_what_tells_nothing_is_no_lag(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_what_tells_nothing_is_no_lag(tmp_path: Path) -> None:
 
 def test_a_picture_that_does_not_decode_is_passed_over(tmp_path: Path) -> None:
     some = [picture if row % 9 else b"\xff\xd8 broken" for row, picture in enumerate(views(ROWS))]
-    found = lag_of(write_drive(tmp_path / "a.mcap", some))
-    assert found is not None
-    assert found.lag_s == pytest.approx(0, abs=0.051)
-    assert found.pictures < ROWS
+    lag = lag_of(write_drive(tmp_path / "a.mcap", some))
+    assert lag is not None
+    assert lag.lag_s == pytest.approx(0, abs=0.051)
+    assert lag.pictures < ROWS

@@ -44,8 +44,8 @@ def test_tags_are_what_was_added_and_not_removed_since(
         (add_tags if action == "add" else remove_tags)(log, content, [tag])
         expected[content][first, last, name] = action == "add"
     for content, model in expected.items():
-        found = [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(log, content)]
-        assert found == sorted(key for key, is_there in model.items() if is_there)
+        read = [(tag.first_row, tag.last_row, tag.name) for tag in read_tags(log, content)]
+        assert read == sorted(key for key, is_there in model.items() if is_there)
         others = [other for fingerprint, other in expected.items() if fingerprint != content]
         assert sum(len(tags) for other, tags in tags_by_content(log).items() if other != content) == sum(
             sum(other.values()) for other in others

@@ -154,9 +154,9 @@ def test_what_is_out_of_range_is_told_as_it_came() -> None:
 def test_the_reason_names_what_came_and_its_kind_does_not(
     changed: dict[str, object], kind: str, reason: str
 ) -> None:
-    with pytest.raises(TelemetryError) as found:
+    with pytest.raises(TelemetryError) as error:
         parse_telemetry(telemetry(**changed))
-    assert (found.value.kind, str(found.value)) == (kind, reason)
+    assert (error.value.kind, str(error.value)) == (kind, reason)
 
 
 @pytest.mark.parametrize(
@@ -172,10 +172,10 @@ def test_the_reason_names_what_came_and_its_kind_does_not(
 def test_what_can_be_read_of_a_bad_telemetry_is_told(
     changed: dict[str, object], speed_mph: float | None, separator: str | None
 ) -> None:
-    with pytest.raises(TelemetryError) as found:
+    with pytest.raises(TelemetryError) as error:
         parse_telemetry(telemetry(world={"time_s": 1.5}, **changed))
-    assert (found.value.speed_mph, found.value.decimal_separator) == (speed_mph, separator)
-    assert found.value.world == World(time_s=1.5)
+    assert (error.value.speed_mph, error.value.decimal_separator) == (speed_mph, separator)
+    assert error.value.world == World(time_s=1.5)
 
 
 @pytest.mark.parametrize(
@@ -189,9 +189,9 @@ def test_what_can_be_read_of_a_bad_telemetry_is_told(
     ],
 )
 def test_a_picture_that_is_no_whole_jpeg_or_png_is_named(picture: bytes, kind: str) -> None:
-    with pytest.raises(TelemetryError) as found:
+    with pytest.raises(TelemetryError) as error:
         check_whole_picture(picture)
-    assert found.value.kind == kind
+    assert error.value.kind == kind
 
 
 @pytest.mark.parametrize(

@@ -78,12 +78,12 @@ build_index([whole], Path("index"), IndexConfig(cameras=("rear",)))
 save_rrd(whole, Path("whole.rrd"))
 with GrowingLog(whole) as growing:
     shown = sorted({{message.topic for messages in growing.read() for message in messages}})
-found = {{
+results = {{
     "findings": {{path.stem: findings(path) for path in (whole, hurt, trimmed, merged, recovered)}},
     "messages": {{topic.topic: topic.messages for topic in describe(whole).topics}},
     "shown while it grows": shown,
 }}
-Path("found.json").write_text(json.dumps(found))
+Path("results.json").write_text(json.dumps(results))
 """
 
 
@@ -120,28 +120,28 @@ def replaced(text: str, old: str, new: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def found(folder: Path) -> Any:
-    return json.loads((folder / "found.json").read_text())
+def results(folder: Path) -> Any:
+    return json.loads((folder / "results.json").read_text())
 
 
 def rows_on(log: Path, topic: str) -> list[int]:
     return [message.sequence for message, _ in read_messages(log)[topic]]
 
 
-def test_they_are_recorded(folder: Path, found: Any) -> None:
+def test_they_are_recorded(folder: Path, results: Any) -> None:
     whole = folder / "sessions" / "whole.mcap"
     for topic in ("/camera/rear", "/imu"):
         assert rows_on(whole, topic) == list(range(ROWS))
-        assert found["messages"][topic] == ROWS
+        assert results["messages"][topic] == ROWS
     assert [content.y for _, content in read_messages(whole)["/imu"]] == [row / 10 for row in range(ROWS)]
 
 
-def test_they_are_checked(found: Any) -> None:
-    hurt = found["findings"].pop("hurt")
+def test_they_are_checked(results: Any) -> None:
+    hurt = results["findings"].pop("hurt")
     assert ["stretches of rows without a picture", "/camera/rear row 3"] in hurt
     assert ["rows out of order", "/imu row 7"] in hurt
     assert len(hurt) == 2
-    assert not any(found["findings"].values())
+    assert not any(results["findings"].values())
 
 
 def test_they_are_edited_by_their_rows(folder: Path) -> None:
@@ -162,11 +162,11 @@ def test_the_camera_is_indexed(folder: Path) -> None:
     assert label == {row: 0.01 * row for row in label}  # no camera but the side ones is corrected
 
 
-def test_they_are_played(folder: Path, found: Any) -> None:
+def test_they_are_played(folder: Path, results: Any) -> None:
     entities = contents(folder / "whole.rrd")
     assert len(entities["/camera/rear"]["EncodedImage:blob"]) == ROWS
     assert [value for (value,) in entities["/mps2/lateral"]["Scalars:scalars"] if value is not None] == [
         row / 10 for row in range(ROWS)
     ]
     assert {"rear camera", "acceleration, m/s²"} <= view_names(folder / "whole.rrd")
-    assert {"/camera/rear", "/imu"} <= set(found["shown while it grows"])
+    assert {"/camera/rear", "/imu"} <= set(results["shown while it grows"])

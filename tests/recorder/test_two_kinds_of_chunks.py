@@ -49,8 +49,8 @@ def bytes_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]
     assert read
 
 
-def picture_chunks(found: Contents) -> list[tuple[int, int]]:
-    return [(chunk.start, chunk.end) for chunk in found.chunks if chunk.messages[0].topic in PICTURES]
+def picture_chunks(content: Contents) -> list[tuple[int, int]]:
+    return [(chunk.start, chunk.end) for chunk in content.chunks if chunk.messages[0].topic in PICTURES]
 
 
 def test_a_row_is_written_after_its_pictures(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def junk() -> st.SearchStrategy[Line]:
     pieces = st.sampled_from(
         [*HEADERS, paths(90), "0,5", "-", ",", ".jpg", '"', " ", "nan", "1e999", "1_0", "\u0663", "+", "\0"]
     )
-    texts = st.lists(pieces, max_size=8).map(lambda found: ",".join(found).encode())
+    texts = st.lists(pieces, max_size=8).map(lambda pieces: ",".join(pieces).encode())
     cut = st.builds(lambda data, kept: data[:kept], st.just(f"{paths(91)},0,0,0,1".encode()), st.integers(0, 130))
     return st.one_of(anything, texts, cut).map(lambda data: Line(data, None))
 
@@ -123,9 +123,9 @@ class Read:
 def read(folder: Path, csv: bytes) -> Read:
     (folder / "driving_log.csv").write_bytes(csv)
     skipped = Skipped()
-    found = list(UdacityRecording(folder, skipped).rows())
-    pictures = {Path(path).name: path for _, paths in found for path in paths if path is not None}
-    return Read([row for row, _ in found], pictures, skipped)
+    rows = list(UdacityRecording(folder, skipped).rows())
+    pictures = {Path(path).name: path for _, paths in rows for path in paths if path is not None}
+    return Read([row for row, _ in rows], pictures, skipped)
 
 
 def rows_skipped(recording: Read) -> int:

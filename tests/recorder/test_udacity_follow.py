@@ -48,15 +48,15 @@ def contents(log: Path) -> Found:
 
 def growing(part: Path) -> dict[str, list[tuple[int, Any]]]:
     """What can be read of an unfinished log: (sequence, content) by topic."""
-    found: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+    by_topic: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     with part.open("rb") as stream:
         try:
             reader = NonSeekingReader(stream, decoder_factories=[DecoderFactory()])
             for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
-                found[channel.topic].append((message.sequence, decoded))
+                by_topic[channel.topic].append((message.sequence, decoded))
         except (McapError, EOFError):  # it has no end yet
             pass
-    return found
+    return by_topic
 
 
 class Drive:

@@ -180,13 +180,15 @@ def test_a_log_is_read_while_it_grows(tmp_path: Path, monkeypatch: pytest.Monkey
                 writer.picture(camera, START_NS + row * STEP_NS, row, picture(camera, row))
             writer._stream.flush()  # a live one does so twice a second
             if row % 10 == 9:
-                found = pictures_of(writer.part)
-                assert found <= {(camera, r, picture(camera, r)) for camera in CAMERAS for r in range(row + 1)}
-                assert len(found) > 3 * (row - 5)
-                looks.append((Log(writer.part), found))
-    for log, found in looks:
+                pictures = pictures_of(writer.part)
+                assert pictures <= {(camera, r, picture(camera, r)) for camera in CAMERAS for r in range(row + 1)}
+                assert len(pictures) > 3 * (row - 5)
+                looks.append((Log(writer.part), pictures))
+    for log, pictures in looks:
         frames = log.frames().to_pylist()
-        assert {(f["camera"], f["row"], log.read(f["offset"], f["length"], f["chunk"])) for f in frames} == found
+        assert {
+            (f["camera"], f["row"], log.read(f["offset"], f["length"], f["chunk"])) for f in frames
+        } == pictures
         log.close()
     with Log(path) as finished:
         assert (finished.notice, finished.frames().num_rows) == ("", 3 * ROWS)
@@ -383,9 +385,9 @@ def test_recordings_killed_at_any_moment_lose_at_most_a_second(tmp_path: Path, t
             [part] = drive.log.parent.glob(f"{drive.log.name}.*.part")
             written = recover(part, recovered_name(part))
             assert written.path == drive.log
-            found = contents(written.path)  # every CRC is checked
-            images = [CompressedImage.FromString(m.data).data for m in found.of("/camera/center")]
-            rows = [(m.sequence, VehicleState.FromString(m.data).steering) for m in found.of("/vehicle")]
+            content = contents(written.path)  # every CRC is checked
+            images = [CompressedImage.FromString(m.data).data for m in content.of("/camera/center")]
+            rows = [(m.sequence, VehicleState.FromString(m.data).steering) for m in content.of("/vehicle")]
             promised = drive.promised
             assert promised >= MIN_PROMISED
             is_whole = images == pictures[: len(rows)]
