@@ -245,6 +245,6 @@ def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
     if any(stretch.is_sure for stretch in odd):
         lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
     if unsure := next((stretch for stretch in odd if not stretch.is_sure), None):
-        look = f"`bc-play {place}`, or let `bc-log check {place}` look at its pictures"
-        lines.append(f"look at the stretches that are perhaps odd, {look}; `{unsure.command(log)}` excludes it")
+        look = f"`bc-play {place}` shows what is perhaps odd, `bc-log check {place}` looks at its pictures"
+        lines.append(f"{look}; `{unsure.command(log)}` excludes the first stretch")
     return lines

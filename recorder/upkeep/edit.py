@@ -136,9 +136,9 @@ def _refuse_different_steering(logs: Sequence[Log]) -> None:
 def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:
     """Write each drive of the log at `path` to a log of its own in `folder`: NAME-1.mcap, NAME-2.mcap ...
 
-    A new drive begins after a gap of a second, or where time goes back. A message without a row goes to the drive
-    of the vehicle state before it in the file; a picture without a row, to the drive of the picture before it. All
-    logs are written or none. Raises LogError if there is only one drive.
+    A new drive begins after a gap of more than a second, or where time goes back. A message without a row goes to
+    the drive of the vehicle state before it in the file; a picture without a row, to the drive of the picture
+    before it. All logs are written or none. Raises LogError if there is only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:
         number, time_ns = _rows(log)
@@ -209,7 +209,7 @@ def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
 
 
 def check_rows(log: Log, rows: tuple[int, int]) -> None:
-    """Raises LogError if the log lacks the first or the last of `rows`."""
+    """Raise LogError if the log lacks the first or the last of `rows`."""
     number, _ = _rows(log)
     if rows[0] < number.min() or rows[1] > number.max():
         raise LogError(f"{log.path}: not all rows from {rows[0]} to {rows[1]} are in it; {_range(number)}")
@@ -219,7 +219,7 @@ def _rows(log: Log) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number and time of every row, in the order of the log."""
     number, time_ns = log.rows_and_times()
     if not len(number):
-        raise LogError(f"{log.path}: no rows in it (nothing on {topics.VEHICLE}); only times can be given for it")
+        raise LogError(f"{log.path}: no rows in it (nothing on {topics.VEHICLE}); `bc-log trim` takes times of it")
     return number, time_ns
 
 
