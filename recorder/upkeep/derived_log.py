@@ -85,24 +85,23 @@ def close_with_tags(writer: LogWriter, tags: Sequence[Tag]) -> None:
 
 
 def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequence[Tag]], overwrite: bool) -> None:
-    """Give the finished logs their names: all or none."""
+    """Give the finished logs their names and tags: all or none; with `overwrite`, those before a failure stay."""
     published: list[Path] = []
     with uninterrupted():
-        for writer in writers:
-            try:
+        try:
+            for writer in writers:
                 writer.publish()
-            except UserError:
-                if not overwrite:
-                    for other in published:
-                        other.unlink(missing_ok=True)
-                stays = ", ".join(map(str, published)) if overwrite and published else "nothing"
-                raise LogError(
-                    f"{path}: not split: {writer.path} exists now, or cannot be written; of the drives"
-                    f" {stays} was kept"
-                ) from None
-            published.append(writer.path)
-        for target, target_tags in zip(published, tags, strict=True):
-            _write_tags(target, target_tags)
+                published.append(writer.path)
+        except UserError:
+            while published and not overwrite:
+                published.pop().unlink(missing_ok=True)
+            kept = ", ".join(map(str, published)) or "nothing"
+            raise LogError(
+                f"{path}: not split: {writer.path} exists now, or cannot be written; {kept} was kept"
+            ) from None
+        finally:
+            for target, target_tags in zip(published, tags, strict=False):  # a log that has its name has its tags
+                _write_tags(target, target_tags)
 
 
 def _write_tags(path: Path, tags: Sequence[Tag]) -> None:

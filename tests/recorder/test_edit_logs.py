@@ -355,6 +355,24 @@ def test_if_one_name_is_taken_meanwhile_no_drive_stays(tmp_path: Path, monkeypat
     assert (tmp_path / "drives" / "a-2.mcap").read_bytes() == b"somebody's work"
 
 
+def test_drives_that_are_kept_after_a_failure_have_their_tags(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = tag(drive(tmp_path / "a.mcap", range(20), gap_after=11), (0, 19, "exclude"))
+    publish = LogWriter.publish
+
+    def publish_the_first(writer: LogWriter) -> None:
+        if writer.path.name == "a-2.mcap":
+            raise UserError("the disk is gone")
+        publish(writer)
+
+    monkeypatch.setattr(LogWriter, "publish", publish_the_first)
+    with pytest.raises(LogError, match=r"not split: .*a-2\.mcap exists now.*a-1\.mcap was kept"):
+        split(whole, tmp_path / "drives", overwrite=True)
+    assert [path.name for path in sorted((tmp_path / "drives").iterdir())] == ["a-1.mcap", "a-1.tags.jsonl"]
+    assert tags_of(tmp_path / "drives" / "a-1.mcap") == [(0, 11, "exclude")]
+
+
 # Tags
 
 
