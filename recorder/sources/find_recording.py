@@ -59,7 +59,9 @@ def _search(source: Path) -> Iterator[Path]:
     """The recording that `source` is a part of, or the recordings in `source` and its folders."""
     for folder in list(source.absolute().parents)[:2]:
         if _is_recording(folder) and source.exists():
-            yield folder if source.is_absolute() else Path(os.path.relpath(folder))
+            relative = Path(os.path.relpath(folder))
+            is_clear = not source.is_absolute() and relative.name not in ("", "..")  # "did you mean .?"
+            yield relative if is_clear else Path(os.path.normpath(folder))
             return
     for level in _levels_below(source):
         yield from filter(_is_recording, level)

@@ -59,6 +59,19 @@ def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, giv
         import_recording(home / given, home / "x.mcap")
 
 
+@pytest.mark.parametrize(
+    ("inside", "given"),
+    [("recording", "driving_log.csv"), ("recording", "IMG"), ("recording/IMG", "../driving_log.csv")],
+)
+def test_the_working_folder_is_named_in_full(
+    home: Path, monkeypatch: pytest.MonkeyPatch, inside: str, given: str
+) -> None:
+    monkeypatch.chdir(home / "udacity" / inside)
+    with pytest.raises(RecordingError) as error:
+        import_recording(Path(given), home / "x.mcap")
+    assert str(error.value).endswith(f"did you mean {home / 'udacity' / 'recording'}?")
+
+
 def test_several_recordings_are_all_named_and_many_are_not(home: Path) -> None:
     with pytest.raises(RecordingError) as error:
         import_recording(home, home / "x.mcap")
