@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import selectors
 import socket
 from typing import Any
@@ -40,8 +41,8 @@ def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
     except (OSError, TypeError, ValueError) as error:  # the last two: invalid names of hosts
         listener.close()
         reason = getattr(error, "strerror", None) or error
-        raise ListenError(
-            f"cannot listen on {host}:{port} ({reason}); end the bc-drive or bc-record --listen that is running"
-            " there, or give another --port"
-        ) from None
+        advice = "give an address of this machine by --host"
+        if getattr(error, "errno", None) in (errno.EADDRINUSE, errno.EACCES):
+            advice = "end the bc-drive or bc-record --listen that is running there, or give another --port"
+        raise ListenError(f"cannot listen on {host}:{port} ({reason}); {advice}") from None
     return listener
