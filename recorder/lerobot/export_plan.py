@@ -10,7 +10,6 @@ import numpy as np
 
 from common import Skipped
 from common.car import CAMERAS, Camera
-from common.errors import counted
 from common.location import Location
 from common.steering_unit import assumed_deg
 from recorder.errors import LogError
@@ -98,10 +97,11 @@ def _cameras(paths: Sequence[Location], wanted: Sequence[Camera]) -> tuple[tuple
                     having[camera].append(path.name)
     cameras = tuple(camera for camera in having if len(having[camera]) == len(paths))
     if not cameras:
-        raise LogError(f"{', '.join(map(str, paths))}: they have no camera in common; export them one by one")
+        why = "they have no camera in common; export them one by one" if len(paths) > 1 else "no camera's pictures"
+        raise LogError(f"{', '.join(map(str, paths))}: {why}")
     notices = [
-        f"the {camera} camera is left out: {', '.join(names)} {'has' if len(names) == 1 else 'have'} its pictures,"
-        f" {counted(len(paths) - len(names), 'other log')} not, and every frame of a dataset needs them"
+        f"the {camera} camera is left out: only {', '.join(names)} {'has' if len(names) == 1 else 'have'} its"
+        " pictures, and every frame of a dataset needs them"
         for camera, names in having.items()
         if names and camera not in cameras
     ]

@@ -188,10 +188,9 @@ def test_several_logs_are_one_dataset_of_the_cameras_that_all_have(tmp_path: Pat
     assert [name for name in info_of(tmp_path / "out")["features"] if "images" in name] == [
         "observation.images.center"
     ]
-    assert [notice[:29] for notice in done.notices][:2] == [
-        "the left camera is left out: ",
-        "the right camera is left out:",
-    ]
+    assert done.notices[0] == (
+        "the left camera is left out: only a.mcap has its pictures, and every frame of a dataset needs them"
+    )
     assert pq.read_table(tmp_path / "out/meta/episodes")["log_name"].to_pylist() == ["a", "a", "b"]
 
 
@@ -199,7 +198,10 @@ def test_logs_without_a_camera_in_common_are_refused(tmp_path: Path) -> None:
     logs = [write_drives(tmp_path / f"{camera}.mcap", cameras=[camera]) for camera in ("left", "right")]
     with pytest.raises(LogError, match="they have no camera in common"):
         export_lerobot(logs, tmp_path / "out")
-    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".mcap", ".mcap"]
+    LogWriter(tmp_path / "empty.mcap", {}).close()
+    with pytest.raises(LogError, match=r"empty\.mcap: no camera's pictures$"):
+        export_lerobot([tmp_path / "empty.mcap"], tmp_path / "out")
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".mcap"] * 3
 
 
 def written(log: Path, steering_of_rows: Sequence[float], times_s: Sequence[float]) -> Path:
