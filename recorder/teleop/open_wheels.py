@@ -58,8 +58,8 @@ def announced(wheel: OpenWheel) -> Iterator[None]:
         with contextlib.suppress(OSError):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            stack.callback(path.unlink, missing_ok=True)  # after the file is closed: Windows removes no open files
             stream = stack.enter_context(os.fdopen(descriptor, "wb"))
-            stack.callback(path.unlink, missing_ok=True)
             lock(stream)
             stream.write(msgspec.json.encode(wheel))
             stream.flush()

@@ -149,20 +149,19 @@ def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_byt
         make_folder(path.parent)
         token = hashlib.sha256(f"{url} {source.version.e_tag} {source.size}".encode()).hexdigest()[:6]
         part = path.with_name(f"{path.name}.{token}{PART_SUFFIX}")
-        with part.open("ab") as stream:
-            if not try_lock(stream):
-                raise UserError(f"{part}: is being written by another copy")
-            begun = min(stream.tell(), source.size)
-            stream.truncate(begun)
-            on_bytes(begun)
-            try:
+        try:
+            with part.open("ab") as stream:
+                if not try_lock(stream):
+                    raise UserError(f"{part}: is being written by another copy")
+                begun = min(stream.tell(), source.size)
+                stream.truncate(begun)
+                on_bytes(begun)
                 for data in source.read_from(begun):
                     stream.write(data)
                     on_bytes(len(data))
-            except ObjectChangedError:  # this part cannot be continued
-                part.unlink()
-                raise
-            stream.flush()
+        except ObjectChangedError:  # this part cannot be continued
+            part.unlink()
+            raise
         if not is_whole(part) or _fingerprint(part) != fingerprint:
             if keeps_damaged:
                 raise LogError(f"{url}: unfinished or damaged; {recovery(part)} makes a log of what came")

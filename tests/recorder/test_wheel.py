@@ -15,10 +15,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from common.locks import is_being_written
 from common.users_cache import users_cache
 from recorder.teleop.frame_state import road_edges
 from recorder.teleop.messages import ControlMessage, parse_message
-from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.open_wheels import OpenWheel, announced, open_wheels
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.seat import ABSENT_S, GIVES_UP_S, Seat
 from recorder.teleop.wheel import MAX_IN_FLIGHT, Request, Wheel
@@ -229,6 +230,20 @@ def test_a_browser_is_refused_though_it_had_the_token(wheel: Wheel) -> None:
     address = f"ws://127.0.0.1:{opened.port}"
     with pytest.raises(InvalidStatus, match="403"), connect(address, additional_headers=headers):
         pass
+
+
+def test_the_file_of_a_wheel_is_closed_before_it_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows removes no open files."""
+    unlink = Path.unlink
+
+    def unlink_closed(path: Path, missing_ok: bool = False) -> None:
+        assert not is_being_written(path)
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", unlink_closed)
+    with announced(OpenWheel("1", 1, "token", str(Path.cwd()), "a", "a.mcap")):
+        assert len(open_wheels(Path.cwd())) == 1
+    assert open_wheels(Path.cwd()) == []
 
 
 def test_a_wheel_is_listed_for_its_user_and_folder_while_it_lasts(wheel: Wheel, tmp_path: Path) -> None:
