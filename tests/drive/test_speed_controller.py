@@ -1,4 +1,5 @@
-"""A target speed that changes all the time is followed: up and down, on slopes, and by a car that was put back."""
+"""A target speed that changes all the time is followed: up and down, on slopes, and by a car that was put back.
+A set speed is held without winding up."""
 
 from __future__ import annotations
 
@@ -122,3 +123,39 @@ def test_what_a_bend_takes_off_is_not_missing_on_the_straight_behind_it() -> Non
         slowed.throttle(18.0, steering=0.8)
     assert slowed.set_speed_for(0.8) < 18
     assert slowed.throttle(19.0) == plain.throttle(19.0)
+
+
+def test_the_first_throttles_are_those_of_the_formula() -> None:
+    """0.1 a mph too slow, and 0.002 a mph summed over the telemetries so far, this one included."""
+    controller = SpeedController(9.0)
+    assert controller.throttle(4.0) == pytest.approx(0.1 * 5 + 0.002 * 5)
+    assert controller.throttle(6.0) == pytest.approx(0.1 * 3 + 0.002 * (5 + 3))
+    assert controller.throttle(10.0) == pytest.approx(0.1 * -1 + 0.002 * (5 + 3 - 1))
+
+
+@pytest.mark.parametrize("telemetries", [1_000, 10_000])
+def test_a_long_climb_does_not_wind_up_a_throttle_that_outlasts_it(telemetries: int) -> None:
+    controller = SpeedController(10.0)
+    for _ in range(telemetries):
+        throttle = controller.throttle(2.0)
+    assert throttle == 1.0
+    # 3 mph too fast takes 0.3 off at once, and 0.006 more with each telemetry, off an integral of at most 0.5
+    after = [controller.throttle(13.0) for _ in range(60)]
+    assert after[0] <= 0.5 - 0.3
+    assert after == sorted(after, reverse=True)
+    assert next(i for i, throttle in enumerate(after) if throttle < 0) <= math.ceil(0.2 / 0.006)
+
+
+def test_a_long_descent_does_not_wind_up_a_brake() -> None:
+    controller = SpeedController(10.0)
+    for _ in range(10_000):
+        controller.throttle(30.0)
+    assert next(i for i in range(200) if controller.throttle(7.0) > 0) <= math.ceil(0.2 / 0.006)
+
+
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=50), st.floats(0, 100))
+def test_the_throttle_for_a_set_speed_stays_within_its_bounds(
+    speeds_mph: list[float], set_speed_mph: float
+) -> None:
+    controller = SpeedController(set_speed_mph)
+    assert all(-1 <= controller.throttle(speed_mph) <= 1 for speed_mph in speeds_mph)

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive.control.speed_controller import SpeedController
 from driving import road_jpeg
 from recorder.server.telemetry import (
     MAX_IMAGE_BYTES,
@@ -297,37 +296,3 @@ def test_a_command_is_two_strings_that_the_clients_culture_reads(
         assert read == pytest.approx(value, abs=1e-6)
         assert -1 <= read <= 1
         assert "e" not in text
-
-
-def test_the_first_throttles_are_those_of_the_formula() -> None:
-    """0.1 a mph too slow, and 0.002 a mph summed over the telemetries so far, this one included."""
-    controller = SpeedController(9.0)
-    assert controller.throttle(4.0) == pytest.approx(0.1 * 5 + 0.002 * 5)
-    assert controller.throttle(6.0) == pytest.approx(0.1 * 3 + 0.002 * (5 + 3))
-    assert controller.throttle(10.0) == pytest.approx(0.1 * -1 + 0.002 * (5 + 3 - 1))
-
-
-@pytest.mark.parametrize("telemetries", [1_000, 10_000])
-def test_a_long_climb_does_not_wind_up_a_throttle_that_outlasts_it(telemetries: int) -> None:
-    controller = SpeedController(10.0)
-    for _ in range(telemetries):
-        throttle = controller.throttle(2.0)
-    assert throttle == 1.0
-    # 3 mph too fast takes 0.3 off at once, and 0.006 more with each telemetry, off an integral of at most 0.5
-    after = [controller.throttle(13.0) for _ in range(60)]
-    assert after[0] <= 0.5 - 0.3
-    assert after == sorted(after, reverse=True)
-    assert next(i for i, throttle in enumerate(after) if throttle < 0) <= math.ceil(0.2 / 0.006)
-
-
-def test_a_long_descent_does_not_wind_up_a_brake() -> None:
-    controller = SpeedController(10.0)
-    for _ in range(10_000):
-        controller.throttle(30.0)
-    assert next(i for i in range(200) if controller.throttle(7.0) > 0) <= math.ceil(0.2 / 0.006)
-
-
-@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=50), st.floats(0, 100))
-def test_the_throttle_stays_within_its_bounds(speeds_mph: list[float], set_speed_mph: float) -> None:
-    controller = SpeedController(set_speed_mph)
-    assert all(-1 <= controller.throttle(speed_mph) <= 1 for speed_mph in speeds_mph)
