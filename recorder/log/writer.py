@@ -198,16 +198,23 @@ class LogWriter:
         self._write(topics.EVENTS, message, time_ns, 0)
 
     def copy(self, schema: Schema | None, channel: Channel, message: McapMessage, sequence: int) -> None:
-        """Write a message of another log, unchanged except for its sequence number."""
+        """Write a message of another log, unchanged except for its sequence number. Raises LogError, and writes
+        nothing, if a vehicle state cannot be decoded."""
         is_picture = is_image_channel(schema, channel)
+        state: VehicleState | None = None
+        if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
+            try:
+                state = VehicleState.FromString(message.data)
+            except DecodeError:
+                raise LogError(
+                    f"{self.path}: cannot be made: row {message.sequence} on {topics.VEHICLE} of the original is"
+                    " not a vehicle state; `bc-log recover` leaves it out"
+                ) from None
         number_of = partial(self._copied_channels.number_of, schema, channel)
         add = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, message.log_time, message.publish_time, sequence, message.data)
-        if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
-            try:
-                self._note_row(sequence, message.log_time, VehicleState.FromString(message.data))
-            except DecodeError:
-                raise UserError(f"{self.path}: a message on {topics.VEHICLE} is not a vehicle state") from None
+        if state is not None:
+            self._note_row(sequence, message.log_time, state)
         elif channel.topic == topics.POSE and schema is not None and schema.name == POSE_IN_FRAME.name:
             with contextlib.suppress(DecodeError):
                 self._places.add(sequence, PoseInFrame.FromString(message.data).pose)

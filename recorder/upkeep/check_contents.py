@@ -36,7 +36,7 @@ ODD_FINDINGS: Final = {
     "steering_against_pictures": "stretches of steering against the pictures",
 }
 """Without coasting and creeping, which only `bc-log info` names."""
-_MISFIT: Final = "messages that do not match their schema"
+MISFIT: Final = "messages that do not match their schema"
 
 
 class Finding(NamedTuple):
@@ -103,7 +103,7 @@ class Contents:
             try:
                 state = VehicleState.FromString(records[message.offset : message.offset + message.length])
             except DecodeError:
-                self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+                self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
             else:
                 self._states.add(message.sequence, message.log_time_ns, state)
                 self._not_recorded.add_row(message.log_time_ns, state.not_recorded_s)
@@ -115,7 +115,7 @@ class Contents:
     def _add_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
         at, length = image_data(records, message.offset, message.length)
         if at < 0:
-            self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+            self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
             return
         picture = records[at : at + length]
         self._sizes.add(topic, message.sequence, width_and_height(picture))
@@ -125,7 +125,7 @@ class Contents:
         try:
             event = LogMessage.FromString(records[message.offset : message.offset + message.length])
         except DecodeError:
-            self._findings.append(Finding(_MISFIT, f"{topic} row {message.sequence}"))
+            self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
             return
         kind, count = read_event(event.message)
         if count:

@@ -23,6 +23,7 @@ from recorder.log.tags import Tag, bad_rows_in, read_tags
 from recorder.mcap.mcap_file import Chunk
 from recorder.rows.odd_stretches import rows_named
 from recorder.topics import CAMERA_TOPICS, PICTURE_TOPICS, ROW_TOPICS, VEHICLE
+from recorder.upkeep.check_contents import MISFIT
 from recorder.upkeep.check_structure import is_damaged_beside_chunks
 from recorder.upkeep.derived_log import Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
 
@@ -68,7 +69,12 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
                             left_out += 1
                             skipped.add(why, f"{channel.topic} row {message.sequence}")
                             continue
-                        writer.copy(schema, channel, message, message.sequence)
+                        try:
+                            writer.copy(schema, channel, message, message.sequence)
+                        except LogError:
+                            left_out += 1
+                            skipped.add(MISFIT, f"{channel.topic} row {message.sequence}")
+                            continue
                         count += 1
                         if channel.topic == topics.VEHICLE:
                             rows.append(message.sequence)

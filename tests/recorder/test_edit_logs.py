@@ -180,6 +180,20 @@ def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_pa
         merge([plain, done.path], tmp_path / "c.mcap")
 
 
+def test_a_state_that_cannot_be_decoded_costs_a_recovery_nothing_else(tmp_path: Path) -> None:
+    path, data = tmp_path / "a.mcap", VehicleState(steering=0.1).SerializeToString()
+    with plain_writer(path, "bc") as writer:
+        schema = writer.register_schema("bc.VehicleState", "protobuf", b"")
+        channel = writer.register_channel("/vehicle", "protobuf", schema)
+        for row in range(5):
+            writer.add_message(channel, START_NS + row, b"\xff" if row == 2 else data, START_NS + row, row)
+    with pytest.raises(LogError, match=r"b\.mcap: cannot be made: row 2 .*`bc-log recover` leaves it out"):
+        trim(path, tmp_path / "b.mcap", (0, 4))
+    done = recover(path, tmp_path / "b.mcap")
+    assert (done.rows, list(done.skipped)) == (4, [("messages that do not match their schema", "/vehicle row 2")])
+    assert [message.sequence for message in contents(done.path).messages] == [0, 1, 3, 4]
+
+
 # Trim
 
 
