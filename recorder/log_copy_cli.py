@@ -89,7 +89,7 @@ def _unreadable_or_full(log: Location, target: Location, error: OSError) -> User
 def refuse_copying(to: Location) -> None:
     """Raise UserError, before a recording, if logs cannot be copied to a place."""
     if not isinstance(to, Url) or to.suffix == ".mcap":
-        raise UsageError(f"{to}: a folder in a store was expected, such as s3://BUCKET/sessions")
+        raise UsageError(f"{to}: expected a folder in a store, such as s3://BUCKET/sessions")
     logs_in(to)
 
 

@@ -49,7 +49,7 @@ def refuse_no_text(*flags: tuple[str, str | None]) -> None:
     """Raise UsageError if a given flag's value is not a line of text."""
     for name, text in flags:
         if text is not None and (not text.strip() or not text.isprintable()):
-            raise UsageError(f"{name} {text!r}: a line of text was expected")
+            raise UsageError(f"{name} {text!r}: expected a line of text")
 
 
 def print_exported(done: Exported, *, has_licence: bool, is_video: bool) -> int:

@@ -176,11 +176,11 @@ def _refuse_contradictions(config: Record) -> None:
         raise UsageError("--image, --steering and --steering-scale go with --from")
     scale = config.topics.steering_scale
     if not math.isfinite(scale) or scale == 0:
-        raise UsageError(f"--steering-scale {scale:g}: a number other than 0 was expected")
+        raise UsageError(f"--steering-scale {scale:g}: expected a number other than 0")
     if config.columns and (config.source is None or config.watch):
         raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
     if config.idle is not None and not 0 <= config.idle < math.inf:
-        raise UsageError(f"--idle {config.idle:g}: a number of seconds, 0 or more, was expected")
+        raise UsageError(f"--idle {config.idle:g}: expected a number of seconds, 0 or more")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
     persons = flags_given(config, "open", "page") or flags_given(config.drive, "start")
@@ -232,6 +232,6 @@ def _check_at_the_wheel(config: Record) -> None:
     with usage_errors(RecordingError):
         check_row_rate(_drive_of(config).rate)
     if not 0 <= drive.start < math.inf:
-        raise UsageError(f"--start {drive.start:g}: a number of metres, 0 or more, was expected")
+        raise UsageError(f"--start {drive.start:g}: expected a number of metres, 0 or more")
     if drive.laps is not None and not 0 < drive.laps < math.inf:
-        raise UsageError(f"--laps {drive.laps:g}: a number above 0 was expected")
+        raise UsageError(f"--laps {drive.laps:g}: expected a number above 0")

@@ -112,5 +112,5 @@ def _max_bytes() -> int:
     except ValueError:
         max_gb = -1.0
     if not 0 <= max_gb < 1e9:
-        raise UsageError(f"BC_CACHE_GB={given}: a number of gigabytes was expected")
+        raise UsageError(f"BC_CACHE_GB={given}: expected a number of gigabytes")
     return int(max_gb * 1e9)

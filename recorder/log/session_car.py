@@ -83,7 +83,7 @@ def named_car(name: str) -> Car:
     try:
         return settings_from(Car, read_toml(name))
     except FileNotFoundError:
-        hint = "udacity, built-in or a file of the car's settings was expected"
+        hint = "expected udacity, built-in or a file of the car's settings"
         raise RecordingError(f"--car {printable(name)}: no such file; {hint}") from None
     except (OSError, ValueError) as error:
         raise RecordingError(f"--car {printable(name)}: {printable(' '.join(str(error).split()))}") from None

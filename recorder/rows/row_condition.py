@@ -43,14 +43,12 @@ def rows_where(states: States, condition: str) -> Mask:
     try:
         return np.broadcast_to(_mask(ast.parse(text, mode="eval").body, columns), states.row.shape)
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
-        problem = (
-            error.args[0] if isinstance(error, _ExpectedError) else "comparisons joined by and, or were expected"
-        )
-        raise UsageError(f"--where {condition!r}: {problem}; columns are {', '.join(COLUMNS)}") from None
+        expected = error.args[0] if isinstance(error, _ExpectedError) else "comparisons joined by and, or"
+        raise UsageError(f"--where {condition!r}: expected {expected}; columns are {', '.join(COLUMNS)}") from None
 
 
 class _ExpectedError(ValueError):
-    """A part of a condition is not of the expected form."""
+    """A part of a condition is not of the form that its text names."""
 
 
 def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
@@ -66,7 +64,7 @@ def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
             first, second = _value(left, columns), _value(right, columns)
             holds: Mask = np.asarray(_COMPARE[type(op)](first, second) & ~np.isnan(first) & ~np.isnan(second))
             return holds
-    raise _ExpectedError(f"a comparison (<, <=, >, >=, =, !=) was expected, not {ast.unparse(node)}")
+    raise _ExpectedError(f"a comparison (<, <=, >, >=, =, !=), not {ast.unparse(node)}")
 
 
 def _value(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any] | float:
@@ -77,4 +75,4 @@ def _value(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any] 
             return columns[name]
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return float(number)
-    raise _ExpectedError(f"a number or a column was expected, not {ast.unparse(node)}")
+    raise _ExpectedError(f"a number or a column, not {ast.unparse(node)}")

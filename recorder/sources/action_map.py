@@ -84,11 +84,11 @@ class ActionMap:
 def _parse(text: str) -> _Part:
     match = _PART.fullmatch(text)
     if match is None:
-        raise ValueError(f"{text!r}: a number, or {', '.join(NAMES)} with or without a factor, was expected")
+        raise ValueError(f"{text!r}: expected a number, or {', '.join(NAMES)} with or without a factor")
     constant, factor, minus, name = match.groups()
     if name is None:
         return _Part("", float(constant))
     value = -1.0 if minus else float(factor or 1.0)
     if value == 0.0 or not math.isfinite(1.0 / value):
-        raise ValueError(f"{text!r}: a factor other than 0 was expected")
+        raise ValueError(f"{text!r}: expected a factor other than 0")
     return _Part(name, value)

@@ -156,7 +156,7 @@ def check_drive(drive: SimulatedDrive) -> None:
     except ValueError as error:
         raise RecordingError(str(error)) from None
     if not drive.speed:
-        raise RecordingError("--speed: a set speed in mph was expected, or several")
+        raise RecordingError("--speed: expected a set speed in mph, or several")
     for flag, value, is_good, expected in (
         (
             "--laps",
@@ -170,4 +170,4 @@ def check_drive(drive: SimulatedDrive) -> None:
         ("--seed", drive.seed, drive.seed >= 0, "a whole number from 0 on"),
     ):
         if not is_good:
-            raise RecordingError(f"{flag} {value:g}: {expected} was expected")
+            raise RecordingError(f"{flag} {value:g}: expected {expected}")

@@ -51,7 +51,7 @@ class CsvColumns:
             if key not in KEYS or not separator or not name:
                 hint = f" {hint}" if (hint := did_you_mean(key, KEYS)) else ""
                 raise RecordingError(
-                    f"--columns {printable(text)}: WHAT=COLUMN was expected, where WHAT is one of"
+                    f"--columns {printable(text)}: expected WHAT=COLUMN, where WHAT is one of"
                     f" {', '.join(KEYS)}.{hint}"
                 )
             if key in names:

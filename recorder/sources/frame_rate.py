@@ -29,7 +29,7 @@ def check_row_rate(rate_hz: float) -> None:
     step."""
     half_steps = 2 / (rate_hz * STEP_S) if rate_hz > 0 else 0.0
     if half_steps < 2 - _TINY or abs(half_steps - round(half_steps)) > _TINY:
-        raise RecordingError(f"--rate {rate_hz:g}: at most 50 that divides 100 was expected (as 5, 10, 20, 25)")
+        raise RecordingError(f"--rate {rate_hz:g}: expected a divisor of 100, at most 50, such as 10 or 20")
 
 
 def is_row_step(step: int, rate_hz: float) -> bool:

@@ -76,7 +76,7 @@ class GymnasiumCar(Closeable):
         is missing or cannot be driven with these flags.
         """
         if flags.episodes < 1:
-            raise UsageError(f"--episodes {flags.episodes}: a number above 0 was expected")
+            raise UsageError(f"--episodes {flags.episodes}: expected a number above 0")
         self.settings = environment_settings(flags)
         self.name = self.settings.id
         self._flags = flags
@@ -139,9 +139,9 @@ class GymnasiumCar(Closeable):
         where = f"--expert {self._flags.expert}: at step {self._steps}"
         if action.size != len(self.actions):
             kind = f"an array of shape {action.shape}" if action.size else f"{type(given).__name__}"
-            raise RecordingError(f"{where} it gave {kind}; an action of {len(self.actions)} numbers was expected")
+            raise RecordingError(f"{where} it gave {kind}; expected an action of {len(self.actions)} numbers")
         if not np.isfinite(action).all():
-            raise RecordingError(f"{where} it gave {action.ravel().tolist()}: finite numbers were expected")
+            raise RecordingError(f"{where} it gave {action.ravel().tolist()}: expected finite numbers")
         return action.ravel()
 
     def expert_command(self, moment: GymnasiumMoment) -> CarCommand:
@@ -157,7 +157,7 @@ class GymnasiumCar(Closeable):
         if not isinstance(space, Box):
             hint = "; CarRacing-v3 has a steering wheel with continuous = true"
             raise RecordingError(
-                f"--gym {self.name}: its actions are {_named(space)}; numbers in a Box were expected, and one of"
+                f"--gym {self.name}: its actions are {_named(space)}; expected numbers in a Box, and one of"
                 f" them the steering{hint if 'CarRacing' in self.name else ''}"
             )
         size = math.prod(space.shape)
@@ -172,7 +172,7 @@ class GymnasiumCar(Closeable):
         render_fps = self.env.metadata.get("render_fps")
         if (rate_hz := self.settings.rate_hz) is not None:
             if not MIN_HZ <= rate_hz <= MAX_HZ:
-                raise UsageError(f"--gym: rate_hz {rate_hz:g}: {MIN_HZ:g} to {MAX_HZ:,.0f} was expected")
+                raise UsageError(f"--gym: rate_hz {rate_hz:g}: expected {MIN_HZ:g} to {MAX_HZ:,.0f}")
         elif not isinstance(render_fps, int | float) or not MIN_HZ <= render_fps <= MAX_HZ:
             raise RecordingError(
                 f"--gym {self.name}: its render_fps is {render_fps}: give its steps a second as rate_hz"
@@ -246,7 +246,7 @@ def _parse_speed(text: str | None) -> tuple[float, str | None]:
         return 1.0, None
     match = _SPEED.fullmatch(text)
     if match is None:
-        raise UsageError(f"--gym: speed {text!r}: a key was expected, such as speed, or 2.237*speed")
+        raise UsageError(f"--gym: speed {text!r}: expected a key, such as speed, or 2.237*speed")
     return float(match[1] or 1.0), match[2]
 
 
@@ -263,8 +263,8 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
         )
     if not pictures:
         raise RecordingError(
-            f"--gym {name}: no camera picture in its observation, {_named(space)}: (height, width, 3) of uint8 was"
-            " expected"
+            f"--gym {name}: no camera picture in its observation, {_named(space)}: expected"
+            " (height, width, 3) of uint8"
         )
     if len(pictures) > 1:
         raise RecordingError(f"--gym {name}: which picture? Give its key as picture, one of {shown}")

@@ -120,7 +120,7 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
     if not version.startswith("v3."):
         advice = f". {_CONVERT}" if version.startswith(("v1", "v2")) else ""
         raise RecordingError(
-            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; {VERSION} was expected{advice}"
+            f"{folder}: a LeRobot dataset of format {printable(version[:40])}; expected {VERSION}{advice}"
         )
     features = {str(name): _feature(stored) for name, stored in info["features"].items()}
     dataset = LeRobotFolder(

@@ -36,7 +36,7 @@ class CameraVideos(Closeable):
         self._dataset = dataset
         if dataset.video_path != VIDEO_PATH:
             raise RecordingError(
-                f"{dataset.root}: videos in {printable(dataset.video_path[:100])!r}; {VIDEO_PATH} was expected"
+                f"{dataset.root}: videos in {printable(dataset.video_path[:100])!r}; expected {VIDEO_PATH}"
             )
         prefix = f"videos/{key}"
         columns = [

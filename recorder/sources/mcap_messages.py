@@ -50,7 +50,7 @@ def decoder_for(schema: Schema | None, channel: Channel) -> Decoder:
     if schema is not None and len(schema.data) > MAX_DEFINITION_BYTES:
         raise RecordingError(
             f"{brief(channel.topic)}: the definition of its type has {len(schema.data):,} bytes;"
-            f" at most {MAX_DEFINITION_BYTES:,} were expected"
+            f" expected at most {MAX_DEFINITION_BYTES:,}"
         )
     if encoding == "json":
         return json.loads

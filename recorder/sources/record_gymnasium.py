@@ -106,9 +106,9 @@ def check_recording(recording: GymRecording) -> None:
     if recording.environment.expert is None:
         raise UsageError("--gym records an expert: give a function of your own by --expert MODULE:FUNCTION")
     if not 0.0 <= recording.wander < math.inf:
-        raise UsageError(f"--wander {recording.wander:g}: a standard deviation was expected, 0 or more")
+        raise UsageError(f"--wander {recording.wander:g}: expected a standard deviation, 0 or more")
     if recording.seed < 0:
-        raise UsageError(f"--seed {recording.seed}: a whole number from 0 on was expected")
+        raise UsageError(f"--seed {recording.seed}: expected a whole number from 0 on")
     with usage_errors(RecordingError):
         check_rate(recording.rate_hz)
 

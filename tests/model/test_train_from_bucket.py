@@ -124,7 +124,7 @@ def test_without_room_for_the_logs_the_error_says_what_to_give(
     with pytest.raises(UserError, match=r"GB of logs have to be fetched to it, but .*BC_CACHE_GB sets how much"):
         load(indexes[1])
     monkeypatch.setenv("BC_CACHE_GB", "many")
-    with pytest.raises(UserError, match="BC_CACHE_GB=many: a number of gigabytes was expected"):
+    with pytest.raises(UserError, match="BC_CACHE_GB=many: expected a number of gigabytes"):
         load(indexes[1])
     monkeypatch.delenv("BC_CACHE_GB")
     usage = shutil.disk_usage(tmp_path)._replace(free=10**9 + size - 1)

@@ -160,8 +160,8 @@ def test_a_name_that_two_folders_have_is_none_and_links_are_not_followed(tmp_pat
         (["image=p"], 10.0, "give at least image=COLUMN and steering=COLUMN"),
         (["image=p", "steering=s"], None, "give --rate ROWS_A_SECOND, or time_s=COLUMN"),
         (["image=p", "steering=s", "time_s=s"], 10.0, "a column has the times"),
-        (["image=p", "stering=s"], 10.0, "--columns stering=s: WHAT=COLUMN .* did you mean steering?"),
-        (["image=p", "steering"], 10.0, "--columns steering: WHAT=COLUMN was expected"),
+        (["image=p", "stering=s"], 10.0, "--columns stering=s: expected WHAT=COLUMN.* did you mean steering?"),
+        (["image=p", "steering"], 10.0, "--columns steering: expected WHAT=COLUMN"),
         (["image=p", "center=p", "steering=s"], 10.0, "image and center are the same"),
         (
             ["image=p", "steering=angel"],

@@ -260,7 +260,7 @@ NOT_LEROBOTS = r"info.json: not as LeRobot writes it"
 SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
     "version 2": (
         lambda folder: change_info(folder, codebase_version="v2.1"),
-        r"format v2.1; v3.0 was expected. LeRobot converts it: `python -m lerobot",
+        r"format v2.1; expected v3.0. LeRobot converts it: `python -m lerobot",
     ),
     "not JSON": (lambda folder: (folder / "meta/info.json").write_text("{" * 2000), r"info.json: not JSON"),
     "without features": (lambda folder: change_info(folder, features=7), NOT_LEROBOTS),
@@ -325,7 +325,7 @@ def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="meta/episodes does not have the places of videos"):
         imported(tmp_path / "out")
     change_info(tmp_path / "out", video_path="{video_key:>999999999999}")
-    with pytest.raises(RecordingError, match="was expected"):
+    with pytest.raises(RecordingError, match="; expected "):
         imported(tmp_path / "out")
 
 

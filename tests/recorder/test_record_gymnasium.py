@@ -145,7 +145,11 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ([{"args": {"action": "discrete"}}, *CENTRE], 1, "its actions are Discrete(3)"),
         ([*BARE, *CENTRE], 1, "has 2 numbers"),
         ([{"action": "throttle,brake"}, *CENTRE], 2, "one number of the action has to be the steering"),
-        ([{"action": "steering,gas"}, *CENTRE], 2, "'gas': a number, or steering, throttle, brake, pedals"),
+        (
+            [{"action": "steering,gas"}, *CENTRE],
+            2,
+            "'gas': expected a number, or steering, throttle, brake, pedals",
+        ),
         ([{"action": "0*steering,throttle"}, *CENTRE], 2, "a factor other than 0"),
         ([{"args": {"fps": 0}}, *CENTRE], 1, "give its steps a second as rate_hz"),
         ([{}, *CENTRE, "--rate", "15"], 1, "must divide the environment's 20 steps a second"),
@@ -166,8 +170,8 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ([{}, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
         ([{}, "--expert", "missing.py:drive"], 1, "no file missing.py"),
         ([{}, "--expert", "toy_environment:center"], 1, "did you mean centre?"),
-        ([{}, "--expert", "toy_environment:too_many"], 1, "shape (3,); an action of 2 numbers was expected"),
-        ([{}, "--expert", "toy_environment:nothing"], 1, "2 numbers was expected"),
+        ([{}, "--expert", "toy_environment:too_many"], 1, "shape (3,); expected an action of 2 numbers"),
+        ([{}, "--expert", "toy_environment:nothing"], 1, "; expected an action of 2 numbers"),
         ([{}, "--expert", "toy_environment:failing"], 1, "failed (ZeroDivisionError: the track has no width)"),
     ],
 )
@@ -182,7 +186,7 @@ def test_what_cannot_be_recorded_is_said_in_one_line(
 
 def test_what_was_recorded_before_an_expert_gave_nan_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_record, "bar", *bar(), "--expert", "toy_environment:nan_later") == 1
-    assert "at step 7 it gave [nan, 0.0]: finite numbers were expected" in one_line_in(capsys)
+    assert "at step 7 it gave [nan, 0.0]: expected finite numbers" in one_line_in(capsys)
     assert states("bar")["steering"] == [pytest.approx(0.1)] * 7
 
 

@@ -101,7 +101,7 @@ def test_a_person_is_asked_once_it_is_listed(
         (("--odd", "--rows", 1, 2), "give one of --odd, --where"),
         (("--where", "row = 1", "--odd"), "give one of --odd, --where"),
         (("--look", "--rows", 1, 2), "--look: give --odd, too"),
-        (("--where", "speed < 2"), "a number or a column was expected, not speed; columns are row,"),
+        (("--where", "speed < 2"), "expected a number or a column, not speed; columns are row,"),
     ],
 )
 def test_flags_that_contradict_each_other_are_a_mistake(
