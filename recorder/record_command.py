@@ -173,12 +173,12 @@ def _refuse_contradictions(config: Record) -> None:
     if not (config.watch or config.listen) and (config.idle is not None or config.viewer):
         raise UsageError("--idle and --viewer go with --watch or --listen")
     if config.topics != Topics() and (config.source is None or config.watch):
-        raise UsageError("--image, --steering and --steering-scale go with --from")
+        raise UsageError("--image, --steering and --steering-scale go with --from, without --watch")
     scale = config.topics.steering_scale
     if not math.isfinite(scale) or scale == 0:
         raise UsageError(f"--steering-scale {scale:g}: expected a number other than 0")
     if config.columns and (config.source is None or config.watch):
-        raise UsageError("--columns goes with --from FOLDER, which has pictures and a csv")
+        raise UsageError("--columns goes with --from, without --watch")
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: expected a number of seconds, 0 or more")
     if config.port:  # 0: a free one

@@ -62,8 +62,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
 
     File: every CRC, the indexes and the counts. Contents: rows out of order, broken and frozen pictures, rows
     without a picture and pictures without a row, gaps, stuck steering, values out of range. With `look`, also the
-    steering's lag, which is kept next to the log, and, for a log on this machine, steering that contradicts the
-    pictures. Raises LogError for other files than MCAP's.
+    steering's lag, which is kept next to the log, and, for a log on this machine, swapped side cameras and
+    steering that contradicts the pictures. Raises LogError for other files than MCAP's.
     """
     damage: list[Finding] = []
     findings: list[Finding] = []
