@@ -117,6 +117,7 @@ def max_curve_speed_mph(steering: float, car: Car | None = None) -> float:
 
     The bicycle model without slip: the curvature is tan(wheel angle) / wheelbase, the acceleration v² * curvature.
     """
-    max_rad, wheelbase_m = (MAX_WHEEL_RAD, WHEELBASE_M) if car is None else (car.max_wheel_rad, car.wheelbase_m)
+    max_rad = MAX_WHEEL_RAD if car is None else math.radians(car.max_steering_deg)
+    wheelbase_m = WHEELBASE_M if car is None else car.wheelbase_m
     curvature_per_m = math.tan(abs(steering) * max_rad) / wheelbase_m
     return math.sqrt(BEND_MPS2 / curvature_per_m) / MPS_PER_MPH if curvature_per_m else math.inf

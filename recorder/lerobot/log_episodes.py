@@ -70,7 +70,10 @@ def log_episodes(
     """
     states = States.of(log.vehicle())
     name = log.path.name
-    is_excluded = _is_tagged(states.row, log)
+    is_excluded = np.zeros(len(states.row), np.bool_)
+    for tag in read_tags(log.path, log.fingerprint):
+        if tag.name == EXCLUDE:
+            is_excluded |= (states.row >= tag.first_row) & (states.row <= tag.last_row)
     taken = ~is_excluded
     if chosen is not None:
         taken &= np.isin(states.row, chosen.row)
@@ -107,14 +110,6 @@ def _previous(states: States, is_usable: NDArray[np.bool_]) -> NDArray[np.float6
     drive = drive_numbers(states.time_ns)
     is_same_drive = (position >= 0) & (drive[before] == drive)
     return np.where(is_same_drive[:, None], vehicle[before], 0.0)
-
-
-def _is_tagged(rows: NDArray[np.int64], log: Log) -> NDArray[np.bool_]:
-    mask = np.zeros(len(rows), np.bool_)
-    for tag in read_tags(log.path, log.fingerprint):
-        if tag.name == EXCLUDE:
-            mask |= (rows >= tag.first_row) & (rows <= tag.last_row)
-    return mask
 
 
 def _first_of_each(sequence: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:

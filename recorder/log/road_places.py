@@ -12,13 +12,12 @@ import numpy as np
 
 from recorder import topics
 from recorder.log.reader import Log
-from recorder.rows.road_edge import Values, beyond_edge_m
+from recorder.rows.road_edge import FARTHEST_M, Values, beyond_edge_m
 from recorder.rows.row_quality import States
 
 if TYPE_CHECKING:
     from foxglove_schemas_protobuf.Pose_pb2 import Pose
 
-_MAX_M: Final = 1e6  # from the origin; positions beyond count as unknown
 _FIELDS: Final = (
     "pose.position.x", "pose.position.y",
     "pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w",
@@ -80,7 +79,7 @@ def last_place_m(log: Log) -> float | None:
     position = None
     for _, message in log.decoded(topics.POSE) if topics.POSE in log.counts else ():
         position = message.pose.position
-    if position is None or not (abs(position.x) < _MAX_M and abs(position.y) < _MAX_M):
+    if position is None or not (abs(position.x) < FARTHEST_M and abs(position.y) < FARTHEST_M):
         return None
     rear_m, _ = line.project(position.x, position.y)
     return (rear_m + AXLE_TO_CENTRE_M) % line.length_m

@@ -6,7 +6,6 @@ A session's log keeps these settings. The defaults are those of Udacity's simula
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final, Literal
@@ -45,10 +44,6 @@ class Car:
             raise ValueError(f"max_steering_deg {self.max_steering_deg:g}: expected 0.1 to less than 90")
         if not 0.01 <= self.wheelbase_m <= 100:
             raise ValueError(f"wheelbase_m {self.wheelbase_m:g}: expected 0.01 to 100")
-
-    @property
-    def max_wheel_rad(self) -> float:
-        return math.radians(self.max_steering_deg)
 
     @property
     def mph(self) -> float:

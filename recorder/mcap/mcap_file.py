@@ -40,8 +40,8 @@ CHUNK_HEADER: Final = struct.Struct("<BQQQQI")  # opcode, length, start time, en
 RECORDS_AT: Final = CHUNK_HEADER.size + 12
 """Offset of the records in an uncompressed chunk, after the lengths of its compression's name and of the
 records."""
-_OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared for each message: a plain number is quicker
-_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of a message without data
+OP_MESSAGE: Final = int(Opcode.MESSAGE)  # compared for each message: a plain number is quicker
+MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of a message without data
 _DEFINITIONS: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
 _LONGEST_HEADER: Final = 1 << 12
 _MAX_DEFINITIONS: Final = 1 << 17  # a chunk's schemas and channels: the format has 16-bit numbers for each
@@ -318,8 +318,8 @@ class McapFile(Closeable):
                 break
             opcode, length = unpack(records, position)
             end = position + RECORD.size + length
-            if opcode == _OP_MESSAGE:
-                if length < _MIN_MESSAGE:
+            if opcode == OP_MESSAGE:
+                if length < MIN_MESSAGE:
                     raise self.damaged("a message is cut off")
                 add_message(position)
             elif opcode in _DEFINITIONS:
@@ -369,7 +369,7 @@ def stored_message(records: bytes, start: int) -> StoredMessage:
     """The message whose record begins at `start` of a chunk's records."""
     _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(records, start)
     content = start + MESSAGE.size
-    return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - _MIN_MESSAGE)
+    return StoredMessage(channel, sequence, log_time, publish_time, start, content, length - MIN_MESSAGE)
 
 
 def _advice(path: Path) -> str:

@@ -66,23 +66,9 @@ def index_messages(
 
 
 def _in_chunk(file: McapFile, chunk: Chunk, records: bytes, images: NDArray[np.uint16]) -> NDArray[np.void]:
+    """One ENTRY for each message of a chunk's records. `images`: channels of pictures."""
     starts = np.array(file.parts(records).messages, np.int64)
     base = 0 if chunk.compression else file.records_at(chunk)
-    return chunk_entries(records, starts, images, base, chunk.start if chunk.compression else UNCOMPRESSED)
-
-
-def chunk_entries(
-    records: bytes | memoryview,
-    starts: NDArray[np.int64],
-    images: NDArray[np.uint16],
-    base: int = 0,
-    chunk: int = UNCOMPRESSED,
-) -> NDArray[np.void]:
-    """One ENTRY for each message of a chunk's records.
-
-    `starts`: offsets of the messages' records. `images`: channels of pictures. `base` is added to all offsets.
-    `chunk`: the entries' chunk.
-    """
     table = np.empty(len(starts), ENTRY)
     if not len(starts):
         return table
@@ -93,7 +79,7 @@ def chunk_entries(
     table["offset"] = starts + (base + MESSAGE.size)
     table["length"] = heads["length"].astype(np.int64) - (MESSAGE.size - RECORD.size)
     table["picture"], table["picture_length"] = -1, 0
-    table["chunk"] = chunk
+    table["chunk"] = chunk.start if chunk.compression else UNCOMPRESSED
     for at in np.flatnonzero(np.isin(table["channel"], images)).tolist():
         picture, length = image_data(records, int(table["offset"][at]) - base, int(table["length"][at]))
         if picture >= 0:

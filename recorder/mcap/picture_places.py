@@ -14,12 +14,20 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from recorder.errors import LogError
 from recorder.mcap.compressed_image import image_data
-from recorder.mcap.mcap_file import CHUNK_HEADER, MESSAGE, RECORD, RECORDS_AT, Chunk, McapFile
+from recorder.mcap.mcap_file import (
+    CHUNK_HEADER,
+    MESSAGE,
+    MIN_MESSAGE,
+    OP_MESSAGE,
+    RECORD,
+    RECORDS_AT,
+    Chunk,
+    McapFile,
+)
 from recorder.mcap.message_index import ENTRY, LAST_TIME_NS, UNCOMPRESSED
 from recorder.mcap.scan import Structure
 
@@ -41,10 +49,8 @@ PLACE: Final = np.dtype(
     ]
 )
 # used for each message: plain numbers are quicker
-_OP_MESSAGE: Final = int(Opcode.MESSAGE)
 _RECORD_BYTES: Final = RECORD.size
 _CONTENT_AT: Final = MESSAGE.size  # of a message, in its record
-_MIN_MESSAGE: Final = MESSAGE.size - RECORD.size  # content of a message without data
 _PLACE: Final = struct.Struct("<HIQIIIII")  # as PLACE; quicker than an array for a few pictures
 CHUNK_CRC: Final = np.dtype([("start", "<u8"), ("crc", "<u4")])  # offset in the file; CRC-32 of the records
 NO_PICTURE: Final = 2**32 - 1
@@ -108,10 +114,10 @@ def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
     places, position, end = bytearray(), RECORDS_AT, len(record) if channels else 0
     while position < end:
         opcode, length = RECORD.unpack_from(record, position)
-        if opcode == _OP_MESSAGE:
+        if opcode == OP_MESSAGE:
             _, _, channel, sequence, log_time_ns, _ = MESSAGE.unpack_from(record, position)
             if channel in channels:
-                at, size = position + _CONTENT_AT, length - _MIN_MESSAGE
+                at, size = position + _CONTENT_AT, length - MIN_MESSAGE
                 picture, picture_size = image_data(record, at, size)
                 picture = picture - RECORDS_AT if picture >= 0 else NO_PICTURE
                 places += _PLACE.pack(

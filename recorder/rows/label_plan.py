@@ -66,18 +66,13 @@ def plan_labels(habits: SteeringHabits, finding: LagFinding | None, driven_by: s
     if lag is not None and lag.correlation < 0:
         return LabelPlan(0.0, 0.0, True, "the pictures turn the other way: is left right?")
     if habits.kind == "smooth":
-        return LabelPlan(0.0, 0.0, True, "smooth" + _of_smooth(lag))
+        # smooth drivers steer with the bend: steering and turning fit equally well at many lags
+        timing = "" if lag is None else " and in time" if _is_in_time(lag) else "; its lag is left alone"
+        return LabelPlan(0.0, 0.0, True, f"smooth{timing}")
     late_s, why = _late(lag) if finding else (0.0, NOT_MEASURED)
     if (habits.rate_hz or 0.0) < MIN_HZ:
         return LabelPlan(0.0, late_s, True, why or "too few rows a second to smooth")
     return LabelPlan(SMOOTH_S, round(REACTION_S + late_s, 2), True, why)
-
-
-def _of_smooth(lag: SteeringLag | None) -> str:
-    """A smooth driver steers with the bend: steering and turning fit equally well at many lags."""
-    if lag is None:
-        return ""
-    return " and in time" if _is_in_time(lag) else "; its lag is left alone"
 
 
 def _is_in_time(lag: SteeringLag) -> bool:

@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]
 
 OFF_S: Final = 0.5  # the shortest stretch: drives put a car back at once
 JOIN_S: Final = 2.0  # a shorter time between two stretches is not driving
-_FARTHEST_M: Final = 1e6  # from the origin; positions beyond count as unknown
+FARTHEST_M: Final = 1e6  # from the origin; positions beyond count as unknown
 _AT_ONCE: Final = 1024  # rows compared with all points of a track: some megabytes
 
 
@@ -36,7 +36,7 @@ def beyond_edge_m(track: str, fingerprint: str, x_m: Values, y_m: Values, headin
     beyond_m = np.full(len(x_m), np.nan)
     with np.errstate(invalid="ignore"):
         places_m = np.stack([x_m, y_m]) + AXLE_TO_CENTRE_M * np.stack([np.cos(heading_rad), np.sin(heading_rad)])
-        at = np.flatnonzero((np.abs(places_m) < _FARTHEST_M).all(axis=0))
+        at = np.flatnonzero((np.abs(places_m) < FARTHEST_M).all(axis=0))
     points_m = road.line.points_m[:, :2]
     for rows in np.split(at, range(_AT_ONCE, len(at), _AT_ONCE)):
         away_m = np.hypot(*(places_m[axis, rows, None] - points_m[None, :, axis] for axis in (0, 1)))

@@ -53,17 +53,10 @@ class EnvironmentSettings:
 def environment_settings(flags: GymFlags) -> EnvironmentSettings:
     """The environment that `flags` name. Raises UsageError for a missing file, or unknown settings."""
     name = str(flags.gym)
-    stored = _stored(name) if name.endswith(".toml") else {"id": name}
     try:
+        stored = read_toml(name) if name.endswith(".toml") else {"id": name}
         return settings_from(EnvironmentSettings, stored)
-    except ValueError as error:
-        raise UsageError(f"--gym {printable(name)}: {printable(str(error))}") from None
-
-
-def _stored(path: str) -> dict[str, Any]:
-    try:
-        return read_toml(path)
     except FileNotFoundError:
-        raise UsageError(f"--gym {printable(path)}: no such file") from None
+        raise UsageError(f"--gym {printable(name)}: no such file") from None
     except (OSError, ValueError) as error:
-        raise UsageError(f"--gym {printable(path)}: {printable(' '.join(str(error).split()))}") from None
+        raise UsageError(f"--gym {printable(name)}: {printable(' '.join(str(error).split()))}") from None

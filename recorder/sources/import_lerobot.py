@@ -138,7 +138,8 @@ def _frames(
     own_gaps = _own_gaps(dataset) if chosen.has_log_time else {}
     last_episode: int | None = None
     bar = f"importing {dataset.root.name}"
-    for path, batch in track(_with_paths(dataset, columns), bar, math.ceil(dataset.frames / BATCH_ROWS)):
+    batches = ((path, batch) for path in dataset.data_files() for batch in dataset.rows(path, columns))
+    for path, batch in track(batches, bar, math.ceil(dataset.frames / BATCH_ROWS)):
         try:
             rows = list(_rows(batch, chosen, images))
         except (pa.ArrowException, TypeError, ValueError, AttributeError) as error:
@@ -170,12 +171,6 @@ def _frames(
             yield ImportedRow(time_ns, vehicle_state(*values), sound.items(), before)
             last_episode = episode
     _skip_missing(dataset, counts, skipped)
-
-
-def _with_paths(dataset: LeRobotFolder, columns: list[str]) -> Iterator[tuple[Path, pa.RecordBatch]]:
-    for path in dataset.data_files():
-        for batch in dataset.rows(path, columns):
-            yield path, batch
 
 
 def _rows(

@@ -20,13 +20,13 @@ class RealTime:
         self._steps = 0
         self._rates = RateMeter()
 
-    def wait(self, sooner: threading.Event | None = None) -> None:
+    def wait(self, sooner: threading.Event) -> None:
         """Wait until the next step is due. `sooner` begins it early, by at most a step's length."""
         self._due_s += self._step_s
         late_s = time.monotonic() - self._due_s
         if late_s < 0:
             time.sleep(max(0.0, -late_s - self._step_s))  # the previous step was early
-            if sooner is None or not sooner.wait(max(0.0, self._due_s - time.monotonic())):
+            if not sooner.wait(max(0.0, self._due_s - time.monotonic())):
                 time.sleep(max(0.0, self._due_s - time.monotonic()))
         elif late_s > MAX_CATCH_UP_S:
             self._due_s += late_s

@@ -85,7 +85,9 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             if length != 4:  # no CRC covers this record's header
                 findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             (stored,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
-            if stored != crc and (stored or _promises_data_crc(file, structure)):
+            # 0 is damage, except in our earliest logs, which have neither this CRC nor bc.quality
+            is_promised = file.promises_crcs and (structure.has_quality or not file.is_ours)
+            if stored != crc and (stored or is_promised):
                 findings.append(Finding(DATA_CRC, f"{stored:08x}, found {crc:08x}"))
             break
         crc = zlib.crc32(record, crc)
@@ -132,11 +134,6 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                     f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
                 )
             )
-
-
-def _promises_data_crc(file: McapFile, structure: Structure) -> bool:
-    """True if 0 as the CRC of all data is damage. Our earliest logs have neither this CRC nor bc.quality."""
-    return file.promises_crcs and (structure.has_quality or not file.is_ours)
 
 
 def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:

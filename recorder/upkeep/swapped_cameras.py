@@ -42,9 +42,7 @@ def are_swapped(log: Log) -> bool:
     if not rows:
         return False
     chosen = np.unique(np.linspace(0, len(rows) - 1, _MAX_MOMENTS).round().astype(int)).tolist()
-    centre: list[Edges] = []
-    left: list[Edges] = []
-    right: list[Edges] = []
+    centre, left, right = list[Edges](), list[Edges](), list[Edges]()
     for row in (rows[at] for at in chosen):
         bands = [_bands(log.picture(row, camera)) for camera in _CAMERAS]
         whole = [edges for edges in bands if edges is not None]
