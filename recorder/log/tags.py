@@ -157,10 +157,14 @@ def _lines(log: Location) -> list[str]:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from None
     if data is None:
         return []
+    whole = _bounded(path, data)[: data.rfind(b"\n") + 1]
+    return whole.decode("utf-8", "replace").splitlines()
+
+
+def _bounded(path: Location, data: bytes) -> bytes:
     if len(data) > MAX_BYTES:
         raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, too large for tags")
-    whole = data[: data.rfind(b"\n") + 1]
-    return whole.decode("utf-8", "replace").splitlines()
+    return data
 
 
 def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -> None:
@@ -190,10 +194,10 @@ def _append_there(url: Url, lines: bytes) -> None:
     replaces: ObjectVersion | None = None
     with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as journal:
         replaces = journal.version
-        before = journal.read(0, journal.size)
+        before = _bounded(url, journal.read(0, min(journal.size, MAX_BYTES + 1)))
     with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
         file = Path(folder) / url.name
-        file.write_bytes(before[: before.rfind(b"\n") + 1] + lines)
+        file.write_bytes(_bounded(url, before[: before.rfind(b"\n") + 1] + lines))
         try:
             put_file(url, file, replaces)
         except ObjectChangedError:
@@ -206,8 +210,9 @@ def _append_here(path: Path, lines: bytes) -> None:
     try:
         with _locked(path) as stream:
             stream.seek(0)
-            data = stream.read()
+            data = _bounded(path, stream.read(MAX_BYTES + 1))
             before = data.rfind(b"\n") + 1  # a line that a crash cut off was never confirmed
+            _bounded(path, data[:before] + lines)
             stream.truncate(before)
             try:
                 while lines:

@@ -121,6 +121,17 @@ def test_an_endless_file_is_refused_without_reading_it(log: Path) -> None:
     os.truncate(tags_path(log), 1 << 40)
     with pytest.raises(LogError, match="larger than"):
         read_tags(log, CONTENT)
+    with pytest.raises(LogError, match="larger than"):
+        add_tags(log, CONTENT, [Tag(0, 1, "good")])
+    assert tags_path(log).stat().st_size == 1 << 40
+
+
+def test_tags_that_would_make_the_file_unreadable_are_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.tags.MAX_BYTES", 300)
+    add_tags(log, CONTENT, [Tag(0, 1, "good"), Tag(3, 4, "good")])
+    with pytest.raises(LogError, match="larger than"):
+        add_tags(log, CONTENT, [Tag(6, 7, "good")])
+    assert read_tags(log, CONTENT) == [Tag(0, 1, "good"), Tag(3, 4, "good")]
 
 
 @pytest.mark.parametrize("name", ["", " ", "x" * 65, "two\nlines", "\x1b[2J", "\udce9", 5, None])
