@@ -56,8 +56,9 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
     with progress_bar() as progress:
         for number, (log, target) in enumerate(pairs, start=1):
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
-            task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=size_of(log), note="")
+            task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=None, note="")
             try:
+                progress.update(task, total=size_of(log))
                 done = copy_log(
                     log, target, overwrite=overwrite, keeps_damaged=True, on_bytes=partial(progress.advance, task)
                 )

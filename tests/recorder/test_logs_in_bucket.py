@@ -230,6 +230,16 @@ def test_a_store_that_refuses_is_one_line(
     assert re.search(told, one_line_in(capsys))
 
 
+def test_a_log_that_the_store_refuses_does_not_hold_up_the_others(
+    bucket: Bucket, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copyfile(log, log.with_name("a.mcap"))
+    bucket.answer = lambda passing: "a.mcap" in passing.path and passing.fail(403, "AccessDenied")
+    assert call(main, "copy", "s3://logs/a.mcap", f"s3://logs/{log.name}", tmp_path / "here") == 1
+    assert "1 log of 2 not copied" in capsys.readouterr().err
+    assert (tmp_path / "here" / log.name).read_bytes() == log.read_bytes()
+
+
 def test_a_listing_and_a_copy_that_are_refused_are_one_line(
     bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
