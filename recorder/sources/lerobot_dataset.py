@@ -122,7 +122,10 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
         raise RecordingError(
             f"{folder}: a LeRobot dataset of format {printable(version[:40])}; expected {VERSION}{advice}"
         )
-    features = {str(name): _feature(stored) for name, stored in info["features"].items()}
+    features = {
+        str(name): Feature(str(stored["dtype"]), tuple(map(int, stored["shape"])), _names(stored.get("names")))
+        for name, stored in info["features"].items()
+    }
     dataset = LeRobotFolder(
         folder,
         version,
@@ -138,11 +141,6 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
     if any("/" in name or "\\" in name or name in ("", ".", "..") for name in features):
         raise ValueError("a feature with a slash in its name")
     return dataset
-
-
-def _feature(stored: Mapping[str, Any]) -> Feature:
-    shape = tuple(int(length) for length in stored["shape"])
-    return Feature(str(stored["dtype"]), shape, _names(stored.get("names")))
 
 
 def _names(stored: object) -> tuple[str, ...] | None:
