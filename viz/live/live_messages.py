@@ -64,8 +64,8 @@ class LiveMessageSender:
                 self._drawing.send(topic, time_ns, contents)
 
     def finish(self) -> None:
-        """Send the drawings of all messages until now, histogram and path, and the layout if it has changed. Call it
-        at the end; if the recording is watched, also from time to time."""
+        """Send the layout if it has changed, and the drawings of all messages until now: histogram and path. Call
+        it at the end; if the recording is watched, also from time to time."""
         self._lay_out()
         self._drawing.finish()
 
