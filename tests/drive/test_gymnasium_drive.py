@@ -122,6 +122,7 @@ def test_the_earlier_flags_name_their_successor(line: list[str], capsys: pytest.
         ([{}, *UNSEEN], 1, "for the pedals give the environment's key"),
         ([SPEED, *UNSEEN, "--simulator", "lake"], 2, "--simulator: not with --gym"),
         ([SPEED, *UNSEEN, "--takeover"], 2, "--takeover: not with --gym"),
+        ([SPEED, *UNSEEN, "--open"], 2, "--open: not with --gym"),
         ([SPEED, *UNSEEN, "--seed", "-1"], 2, "--seed -1"),
         (["--seed", "1"], 2, "--seed: only with --gym ID"),
         ([SPEED | {"args": {"observation": "numbers"}}, *UNSEEN], 1, "no camera picture"),
