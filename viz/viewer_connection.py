@@ -41,8 +41,7 @@ def viewer_url(address: str) -> str:
         if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
             return address
     raise UsageError(
-        f"--connect {address}: HOST:PORT, or PORT on this machine, was expected, for example"
-        f" {LOCAL}:{DEFAULT_PORT}"
+        f"--connect {address}: expected HOST:PORT, or PORT on this machine, for example {LOCAL}:{DEFAULT_PORT}"
     )
 
 
