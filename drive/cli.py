@@ -157,10 +157,10 @@ def _load(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig,
     from drive.driven_car import driven_car, other_steering
     from model import load_pilot
     from model.runs.run_folder import load_named
-    from recorder.log.session_car import built_in
+    from recorder.log.session_car import BUILT_IN
 
     load_named([config.network], [run])
-    car = driven_car(run, config.car) if config.simulator is None else built_in()
+    car = driven_car(run, config.car) if config.simulator is None else BUILT_IN
     if line := other_steering(run, car):
         _notify(line)
     pilot = load_pilot(run, config.precision, config.device)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final, Literal
 
-from common.car import MAX_STEERING_DEG, MPS_PER_MPH
+from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG, MPS_PER_MPH
 from common.errors import printable
 from common.location import Location
 from common.stored_settings import read_toml, settings_from
@@ -57,13 +57,8 @@ class Car:
 
 
 UDACITY: Final = Car()
-
-
-def built_in() -> Car:
-    """The built-in simulator's car."""
-    from simulator.driving import vehicle  # also loads the client
-
-    return Car(wheelbase_m=vehicle.WHEELBASE_M)
+BUILT_IN: Final = Car(wheelbase_m=BUILT_IN_WHEELBASE_M)
+"""The built-in simulator's car."""
 
 
 def metadata_of(car: Car | None) -> dict[str, str]:
@@ -79,7 +74,7 @@ def named_car(name: str) -> Car:
     if name == "udacity":
         return UDACITY
     if name == "built-in":
-        return built_in()
+        return BUILT_IN
     try:
         return settings_from(Car, read_toml(name))
     except FileNotFoundError:
