@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final, Literal
 from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG, MPS_PER_MPH
 from common.errors import printable
 from common.location import Location
-from common.stored_settings import read_toml, settings_from
+from common.stored_settings import settings_from, settings_of_file
 from recorder import topics
 from recorder.errors import LogError, RecordingError
 from recorder.log.reader import Log
@@ -69,19 +69,17 @@ def metadata_of(car: Car | None) -> dict[str, str]:
 def named_car(name: str) -> Car:
     """The car with a name: `udacity`, `built-in`, or the path of a TOML file with settings of `Car`.
 
-    Raises RecordingError for a missing file, or unknown settings.
+    Raises RecordingError for a file that cannot be read, or has unknown or impossible settings.
     """
     if name == "udacity":
         return UDACITY
     if name == "built-in":
         return BUILT_IN
     try:
-        return settings_from(Car, read_toml(name))
-    except FileNotFoundError:
-        hint = "udacity, built-in or a file of the car's settings was expected"
-        raise RecordingError(f"--car {printable(name)}: no such file; {hint}") from None
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"--car {printable(name)}: {printable(' '.join(str(error).split()))}") from None
+        return settings_of_file(Car, name)
+    except ValueError as error:
+        hint = "" if name.endswith(".toml") else "; expected udacity, built-in or FILE.toml"
+        raise RecordingError(f"--car {printable(name)}: {error}{hint}") from None
 
 
 def stored_car(log: Log) -> Car | None:

@@ -118,7 +118,7 @@ def test_a_missing_file_and_the_simulators_own_car_are_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert call(bc_record, "own", "--from", recording(), "--car", "own.tml") == 1
-    assert "udacity, built-in or a file" in one_line_in(capsys)
+    assert "own.tml: no such file; expected udacity, built-in or FILE.toml" in one_line_in(capsys)
     assert call(bc_record, "own", "--car", "udacity") == 2
     assert "--car goes with --from, --listen or --gym" in one_line_in(capsys)
 
