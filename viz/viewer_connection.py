@@ -22,8 +22,8 @@ DEFAULT_PORT: Final = 9876
 
 _PATIENCE_S: Final = 10.0  # for a slow and busy machine
 _POLL_S: Final = 0.1
-_PORT: Final = re.compile(r"\d{1,5}")
-_PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
+_PORT: Final = re.compile(r"[1-9]\d{0,4}")
+_PLACE: Final = re.compile(r"(?:[\w.-]+|\[[\da-fA-F:]+\]):[1-9]\d{0,4}")
 
 
 def viewer_url(address: str) -> str:
