@@ -171,7 +171,8 @@ def test_an_address_can_be_short() -> None:
     assert viewer_url("other:1234") == "rerun+http://other:1234/proxy"
     assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
     assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
-    for wrong in ("other", "http://other:1234", "rerun+http://other:x/proxy", "other:123456", "0", "-x:1"):
+    wrong_port = "rerun+http://other:x/proxy"
+    for wrong in ("other", "http://other:1234", "a b:1", wrong_port, "other:123456", "-x:1 2", "0", "other:0"):
         with pytest.raises(UserError, match=r"^--connect .*: expected HOST:PORT, or PORT on this machine"):
             viewer_url(wrong)
 
