@@ -5,25 +5,25 @@ BIN := $(VENV)/bin
 ROOMS := behavioural_cloning_toolkit.py common recorder dataset model drive viz simulator web
 SOURCES := $(ROOMS) tests benchmarks studies docs examples
 
-# several tests at once (tests/conftest.py says how many); those of one file share what they have made
+# several tests at once (tests/conftest.py says how many); the tests of one file share fixtures
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
-# compiled once, and not by each of the hundreds of processes that tests start, whatever the environment says
+# tests start hundreds of processes: Python may always write compiled modules, so that each is compiled once
 test test-browser test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: install install-dev demo test test-browser test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
 
-# what people need; tests, checks and docs install what they need besides
+# for users; the targets for tests, checks and docs install more
 install: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
-	@echo "Installing into $(VENV): PyTorch, Rerun and what else is needed; a few minutes, and 2 GB of disk, several more"
-	@echo "where PyTorch comes with its GPU libraries (on Linux, unless CPU-only wheels are asked for)."
+	@echo "Installing PyTorch, Rerun and other packages into $(VENV): a few minutes, and 2 GB of disk."
+	@echo "On Linux, PyTorch's GPU libraries take 4 GB more (README.md says how to install without them)."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[web]"
 	@touch $@
 	@echo "Installed, $$(du -sh $(VENV) | cut -f1). The commands are in $(BIN): type $(BIN)/bc-demo,"
-	@echo "or 'source $(BIN)/activate' once in a terminal, and then bc-demo."
+	@echo "or once in each terminal 'source $(BIN)/activate', then bc-demo."
 
 install-dev: $(VENV)/installed-dev
 
@@ -37,15 +37,15 @@ demo: install
 test: $(VENV)/installed-dev
 	$(PYTEST) -m "not long and not browser"
 
-# pages driven in Chromium, which must be installed
+# tests of pages in Chromium, which must be installed
 test-browser: $(VENV)/installed-dev
 	$(PYTEST) -m "browser and not long"
 
-# what takes long by nature (every byte, every moment), and twenty times the examples of what holds for whatever is given
+# slow tests (each byte damaged, each moment stopped), and tests of random inputs with twenty times as many inputs
 test-long: $(VENV)/installed-dev
 	$(PYTEST) -m "long or hypothesis" --hypothesis-profile=long
 
-# a few tests fail where everything is measured: those of full disks and of Ctrl-C
+# a few tests fail under coverage: those of full disks and of Ctrl-C
 coverage: export COVERAGE_FILE := $(CURDIR)/build/coverage/data
 coverage: $(VENV)/installed-dev
 	rm -rf build/coverage && mkdir -p build/coverage
@@ -54,7 +54,7 @@ coverage: $(VENV)/installed-dev
 	$(BIN)/coverage report --precision=2 >build/coverage/report.txt
 	@tail -1 build/coverage/report.txt
 
-# training step, index and reply, next to those of an earlier version; `ARGS="--base COMMIT"` chooses it
+# time of a training step, an index and a reply, compared with an earlier version: ARGS="--base COMMIT" names it
 bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/bench.py $(ARGS)
 
@@ -79,29 +79,29 @@ $(VENV)/installed-docs: $(VENV)/installed-dev
 pictures: $(VENV)/installed-dev
 	$(BIN)/python docs/make_pictures.py
 
-# bc_pb2.py for every protobuf from 5.29 on: written by the protoc of that time
+# the protoc of protobuf 5.29, so that bc_pb2.py works with every protobuf from 5.29 on
 proto:
 	$(PYTHON) -m venv build/protoc
 	build/protoc/bin/pip install --quiet "grpcio-tools==1.71.2"
 	build/protoc/bin/python -m grpc_tools.protoc -I. --python_out=. --pyi_out=. recorder/bc.proto
 
-# Foxglove's own reader of MCAP files, by which tests/recorder/test_other_readers.py reads logs; needs npm
+# Foxglove's own reader of MCAP files, for tests/recorder/test_other_readers.py; needs npm
 foxglove-reader:
 	npm ci --prefix tests/helpers/foxglove_reader
 
-# Azure's emulator, on which tests/recorder/test_other_stores.py tries az:// in `make test-long`; needs npm
+# Azure's emulator, for the test of az:// in tests/recorder/test_other_stores.py (`make test-long`); needs npm
 azurite:
 	npm install --prefix build/azurite --no-audit --no-fund azurite@3.35.0
 
-# LeRobot in an environment of its own, by which tests/recorder/test_lerobot_itself.py reads, writes and trains;
-# needs Python 3.12 or newer, and on Linux 3 GB more without the index of PyTorch's wheels for processors
+# LeRobot in its own environment, for tests/recorder/test_lerobot_itself.py; needs Python 3.12 or newer.
+# TORCH_INDEX: PyTorch's wheels without CUDA; with CUDA, the environment takes 3 GB more on Linux
 lerobot-reader: TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 lerobot-reader:
 	$(PYTHON) -m venv build/lerobot
 	build/lerobot/bin/pip install --quiet "torch<2.12" "torchvision<0.27" --index-url $(TORCH_INDEX)
 	build/lerobot/bin/pip install --quiet "lerobot[training]==0.6.*"
 
-# DonkeyCar in an environment of its own, in whose loop tests/model/test_donkeycar_itself.py drives; needs Python 3.11
+# DonkeyCar in its own environment, for tests/model/test_donkeycar_itself.py; needs Python 3.11
 donkeycar: DONKEYCAR_PYTHON ?= python3.11
 donkeycar:
 	$(DONKEYCAR_PYTHON) -m venv build/donkeycar

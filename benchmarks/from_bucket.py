@@ -66,22 +66,21 @@ class _Late(localbucket.S3Handler):  # type: ignore[misc]
             self.end_headers()
             self.wfile.write(body)
             return
-        with _Late.lock:
-            _Late.requests += 1
-        time.sleep(self.delay_s)
+        self._count_and_wait()
         super().do_GET()
 
     def do_HEAD(self) -> None:  # noqa: N802
-        with _Late.lock:
-            _Late.requests += 1
-        time.sleep(self.delay_s)
+        self._count_and_wait()
         super().do_HEAD()
 
     def do_PUT(self) -> None:  # noqa: N802
+        self._count_and_wait()
+        super().do_PUT()
+
+    def _count_and_wait(self) -> None:
         with _Late.lock:
             _Late.requests += 1
         time.sleep(self.delay_s)
-        super().do_PUT()
 
     def _send_file(self, status: Any, file: Any, start: int, length: int, headers: Any, include_body: Any) -> None:
         with _Late.lock:

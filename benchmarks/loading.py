@@ -134,7 +134,7 @@ def _check(what: str, epoch: Epoch, expected: list[int]) -> int:
     """Check that an epoch gives every crop once. Returns their number."""
     crcs = sorted(zlib.crc32(np.asarray(crop).tobytes()) for batch in epoch() for crop in batch)
     if crcs != expected:
-        raise SystemExit(f"{what}: {len(crcs)} crops, but {len(expected)} other ones were expected")
+        raise SystemExit(f"{what}: {len(crcs)} crops; expected {len(expected)} other ones")
     return len(crcs)
 
 

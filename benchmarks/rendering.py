@@ -50,7 +50,7 @@ def print_track(name: str) -> None:
     """Print the steps per second of three cameras, and the time to build the track."""
     track = load_track(name)
     times = []
-    for _ in range(2):  # the first call bakes and writes, the second reads
+    for _ in range(2):  # the first call builds and writes the world, the second reads it
         start_s = time.process_time()
         world = build_world(track)
         times.append(time.process_time() - start_s)

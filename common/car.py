@@ -9,6 +9,7 @@ Camera = Literal["center", "left", "right"]
 CAMERAS: Final[tuple[Camera, ...]] = get_args(Camera)
 
 MAX_STEERING_DEG: Final = 25.0  # at steering 1.0; the maximum steer angle of the Udacity simulator's CarController
+BUILT_IN_WHEELBASE_M: Final = 2.6  # of the built-in simulator's car, which is of middle size
 
 MPS_PER_MPH: Final = 0.44704  # by the definition of the mile
 

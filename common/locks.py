@@ -14,16 +14,15 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-_BEYOND_END: Final = (
-    1 << 60
-)  # Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked
+# Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked
+_BEYOND_END: Final = 1 << 60
 
 
 def lock(stream: IO[bytes]) -> None:
     """Wait for the lock of an open file, and keep it until the file is closed. Raises OSError if the file system
     has no locks."""
     if sys.platform == "win32":
-        _lock_behind(stream, msvcrt.LK_LOCK)
+        _lock_beyond_end(stream, msvcrt.LK_LOCK)
     else:
         fcntl.flock(stream, fcntl.LOCK_EX)
 
@@ -33,7 +32,7 @@ def try_lock(stream: IO[bytes]) -> bool:
     the file system has no locks."""
     try:
         if sys.platform == "win32":
-            _lock_behind(stream, msvcrt.LK_NBLCK)
+            _lock_beyond_end(stream, msvcrt.LK_NBLCK)
         else:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):  # PermissionError: on Windows
@@ -58,8 +57,8 @@ def is_being_written(path: Location) -> bool:
 def _is_locked(stream: IO[bytes]) -> bool:
     try:
         if sys.platform == "win32":
-            _lock_behind(stream, msvcrt.LK_NBLCK)
-            _lock_behind(stream, msvcrt.LK_UNLCK)
+            _lock_beyond_end(stream, msvcrt.LK_NBLCK)
+            _lock_beyond_end(stream, msvcrt.LK_UNLCK)
         else:  # shared: two processes that check at the same time do not take each other for the writer
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
@@ -69,7 +68,7 @@ def _is_locked(stream: IO[bytes]) -> bool:
 
 if sys.platform == "win32":
 
-    def _lock_behind(stream: IO[bytes], mode: int) -> None:
+    def _lock_beyond_end(stream: IO[bytes], mode: int) -> None:
         position = stream.tell()
         stream.seek(_BEYOND_END)
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -91,7 +92,8 @@ def preview(
             for part in _parts_of(file) - others:
                 part.unlink(missing_ok=True)
             why = f"the viewer hung for {FILE_GRACE_S:g} s, or was killed"
-            warn(f"{file}: not written: {why}; run `bc-play {final_path(path)} --save {file}`")
+            again = shlex.join(("bc-play", str(final_path(path)), "--save", str(file)))
+            warn(f"{file}: not written: {why}; run `{again}`")
 
 
 def _start(command: list[str], notify: Callable[[str], object]) -> subprocess.Popen[bytes] | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import msgspec
 
-from common.errors import did_you_mean
+from common.errors import did_you_mean, printable
 from common.untrusted import read_bounded
 
 if TYPE_CHECKING:
@@ -53,13 +53,18 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
     return replace(settings, **numbers)
 
 
-def read_toml(path: Path | str) -> dict[str, Any]:
-    """The content of a TOML file. Raises OSError if the file cannot be read or is larger than 1 MB, ValueError if
-    it is not valid TOML or is nested too deeply."""
+def settings_of_file(kind: type[Settings], path: Path | str) -> Settings:
+    """Convert a TOML file of at most 1 MB to the dataclass `kind`, as `settings_from` does. Raises ValueError,
+    with the reason in one line, also if the file cannot be read."""
     try:
-        return tomllib.loads(read_bounded(path, _MAX_TOML_BYTES).decode())
+        return settings_from(kind, tomllib.loads(read_bounded(path, _MAX_TOML_BYTES).decode()))
+    except FileNotFoundError:
+        reason = "no such file"
     except RecursionError:
-        raise ValueError("nested too deeply") from None
+        reason = "nested too deeply"
+    except (OSError, ValueError) as error:
+        reason = printable(" ".join(str(error).split()))
+    raise ValueError(reason)
 
 
 def _with_earlier(kind: type[Settings], stored: Any) -> Any:

@@ -46,16 +46,16 @@ def drive(config: Drive) -> int:
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or config.drives / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
     if not isinstance(path, Url):
-        return _drive_to(path, config, settings)
+        return _drive_to(path, config, settings)[0]
     from recorder.log_copy_cli import copy_recording, refuse_taken_name
 
     refuse_taken_name(path, config.force)
-    local = Path("drives") / path.name
-    code = _drive_to(local, config, settings)
-    return max(code, copy_recording(local, path.parent, config.force, prog="bc-drive"))
+    code, logs = _drive_to(Path("drives") / path.name, config, settings)
+    return max(code, *(copy_recording(log, path.parent, config.force, prog="bc-drive") for log in logs))
 
 
-def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
+def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> tuple[int, list[Path]]:
+    """Drive, and log the drive to `path`. Returns the exit code and all logs: each simulator has its own."""
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
     if config.environment.gym is not None:
         return _drive_environment(config, settings, path)
@@ -114,7 +114,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> int:
             code = max(code, keep_supervised(run, settings, config.simulator, server.session))
             if config.page:
                 wait_until_left(path)
-        return code
+        return code, [session.writer.path for session in server.sessions]
 
 
 @contextlib.contextmanager
@@ -157,10 +157,10 @@ def _load(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig,
     from drive.driven_car import driven_car, other_steering
     from model import load_pilot
     from model.runs.run_folder import load_named
-    from recorder.log.session_car import built_in
+    from recorder.log.session_car import BUILT_IN
 
     load_named([config.network], [run])
-    car = driven_car(run, config.car) if config.simulator is None else built_in()
+    car = driven_car(run, config.car) if config.simulator is None else BUILT_IN
     if line := other_steering(run, car):
         _notify(line)
     pilot = load_pilot(run, config.precision, config.device)
@@ -168,7 +168,7 @@ def _load(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig,
     return replace(settings, car=car), pilot
 
 
-def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
+def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> tuple[int, list[Path]]:
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
@@ -194,7 +194,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
             raise DriveError(f"{path}: nothing was driven: stopped before the first step")
     if len(episodes) > 1:
         print_result(f"reward {mean_reward(episodes):,.1f} on average")
-    return _print_drives([session], config, run)
+    return _print_drives([session], config, run), [path]
 
 
 def _notify(text: str) -> None:

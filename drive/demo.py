@@ -107,9 +107,9 @@ def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: a file, no folder to work in; give another --folder")
     if not 1 <= config.epochs <= 10**6:
-        raise UsageError(f"--epochs {config.epochs}: a number from 1 to 1,000,000 was expected")
+        raise UsageError(f"--epochs {config.epochs}: expected a number from 1 to 1,000,000")
     if not 0 < config.laps <= 1000:
-        raise UsageError(f"--laps {config.laps:g}: a number above 0, and up to 1,000, was expected")
+        raise UsageError(f"--laps {config.laps:g}: expected a number above 0 and up to 1,000")
     if not 0.05 <= config.share <= 1000:
         raise UsageError(f"--share {config.share:g}: give at least 0.05 laps: less is not enough to train on")
     for command in commands_of(config):

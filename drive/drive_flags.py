@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 import tyro
 
@@ -14,6 +14,8 @@ from common.command import check_port, flags_given
 from common.errors import UsageError
 from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
+
+_PAGE_FLAGS: Final = ("open", "page", "sessions")
 
 
 @dataclass(frozen=True)
@@ -101,22 +103,22 @@ def refuse_contradictions(config: Drive) -> None:
     if config.log is not None and (flags := flags_given(config, "drives")):
         raise UsageError(f"{flags}: not needed with --log, which names the log: give one of them")
     if config.environment.gym is not None:
-        others = ("simulator", "laps", "start", "real_time", "takeover", "sessions", "host", "port")
+        others = ("simulator", "laps", "start", "real_time", "takeover", *_PAGE_FLAGS, "host", "port")
         if flags := flags_given(config, *others):
             raise UsageError(
                 f"{flags}: not with --gym: an environment has no port and does not report its car's position"
             )
         if config.seed < 0:
-            raise UsageError(f"--seed {config.seed}: a whole number from 0 on was expected")
+            raise UsageError(f"--seed {config.seed}: expected a whole number from 0 on")
         return
     if flags := flags_given(config.environment, *GYM_FLAGS) or flags_given(config, "seed"):
         raise UsageError(f"{flags}: only with --gym ID")
     if config.port:  # 0: any free port
         check_port("--port", config.port)
-    if config.takeover != "me" and (flags := flags_given(config, "open", "page", "sessions")):
+    if config.takeover != "me" and (flags := flags_given(config, *_PAGE_FLAGS)):
         raise UsageError(f"{flags}: only with --takeover me")
     if not 0 <= config.start < math.inf:
-        raise UsageError(f"--start {config.start:g}: a number of metres, 0 or more, was expected")
+        raise UsageError(f"--start {config.start:g}: expected a number of metres, 0 or more")
     if config.simulator is None and (flags := flags_given(config, "real_time", "start")):
         raise UsageError(f"{flags}: only with the built-in simulator: give --simulator TRACK as well")
     if config.simulator is None and (flags := flags_given(config, "laps")):

@@ -20,7 +20,7 @@ from drive.config import DriveConfig
 from drive.drive_session import DriveSession
 from model import Pilot
 from recorder import LogWriter
-from recorder.log.session_car import built_in
+from recorder.log.session_car import BUILT_IN
 from recorder.log.session_car import metadata_of as car_metadata
 from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 
@@ -67,7 +67,7 @@ class DriveServer:
         port is taken.
         """
         self._pilot = pilot
-        self.config = replace(config, car=built_in()) if track is not None else config
+        self.config = replace(config, car=BUILT_IN) if track is not None else config
         self._log = log
         self._track = track
         self._at_wheel = at_wheel

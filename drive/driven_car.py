@@ -8,7 +8,7 @@ from common.car import MAX_STEERING_DEG
 from common.stored_settings import settings_from
 from drive.errors import DriveError
 from model.runs.car_of_run import cars_of_run, known_max_steering_deg_of_run, max_steering_deg_of_run
-from recorder.log.session_car import UDACITY, Car, built_in, named_car
+from recorder.log.session_car import BUILT_IN, UDACITY, Car, named_car
 
 
 def driven_car(run: Path, named: str | None) -> Car | None:
@@ -27,7 +27,7 @@ def driven_car(run: Path, named: str | None) -> Car | None:
     car = cars.pop() if len(cars) == 1 else None
     if car is None and (degrees := max_steering_deg_of_run(run)) != MAX_STEERING_DEG:
         return Car(max_steering_deg=degrees)
-    return None if car in (UDACITY, built_in()) else car
+    return None if car in (UDACITY, BUILT_IN) else car
 
 
 def other_steering(run: Path, car: Car | None) -> str:

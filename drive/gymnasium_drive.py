@@ -41,19 +41,24 @@ def check_pedals(car: GymnasiumCar) -> None:
 def drive_gymnasium(
     session: DriveSession, car: GymnasiumCar, seed: int, episodes: int, stopped: StopEvent
 ) -> Iterator[Episode]:
-    """Drive episodes with the seeds `seed`, `seed` + 1 and so on. Yields each episode when it ends.
+    """Drive episodes with the seeds `seed`, `seed` + 1 and so on. Yields each episode when it ends. If the log
+    cannot be written, the drive ends.
 
     The network steers. If the environment gives the speed, the speed controller works the pedals; else the expert
     does, if there is one.
     """
+
+    def is_over() -> bool:
+        return stopped.is_set() or session.log.failure is not None
+
     driven = []
     for number in range(episodes):
-        if stopped.is_set():
+        if is_over():
             break
         session.connected()
         moment = car.reset(seed + number)
         command, steps, reward = CarCommand(0.0), 0, 0.0
-        while not (moment.end or stopped.is_set()):
+        while not (moment.end or is_over()):
             expert = car.expert_command(moment) if car.has_expert else None
             received_s = time.perf_counter()
             telemetry = Telemetry(

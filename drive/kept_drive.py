@@ -16,9 +16,6 @@ from model.runs.run_arguments import run_argument
 from model.runs.run_folder import config_folder
 from model.runs.runs_in_store import send_results
 
-OTHER_SIMULATOR = "another simulator"
-"""The track's name for other simulators, which name no track."""
-
 
 def keep(run: Path, way: Way, result: Mapping[str, Any]) -> int:
     """Keep a result in the run's folder, and in the store if the run is in one. A failure is only a warning.
@@ -42,7 +39,7 @@ def keep_supervised(run: Path, config: DriveConfig, track: str | None, session: 
     if summary.laps is None:
         return DONE
     result = {
-        "track": track or OTHER_SIMULATOR,
+        "track": track or "another simulator",  # which names no track
         "set_speed_mph": config.set_speed_mph,
         "laps": summary.laps,
         "distance_m": summary.distance_m,

@@ -62,7 +62,9 @@ def sim(config: Sim) -> int:
     check_port("--port", config.port)
     if not 0 <= config.wait < math.inf:
         raise UsageError(f"--wait {config.wait:g}: give a number of seconds")
-    if config.count is not None and (config.count < 1 or config.replay is None):
+    if config.count is not None and config.replay is None:
+        raise UsageError(f"--count {config.count}: only with --replay FOLDER")
+    if config.count is not None and config.count < 1:
         raise UsageError(f"--count {config.count}: give a number of pictures above 0")
     client = SimulatorClient(config.host, config.port, wait_s=config.wait)
     try:

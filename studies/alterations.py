@@ -132,17 +132,9 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int) -> None:
     print(result.stem, file=sys.stderr, flush=True)
     for session, track in zip(sessions, ("lake", "mountain"), strict=True):
         if not session.exists():
-            record: list[str | Path] = [
-                "bc-record",
-                session.stem,
-                "--sessions",
-                session.parent,
-                "--driver",
-                "keyboard",
-                "--track",
-                track,
-            ]
-            subprocess.run([*record, "--laps", "0.5", "--speed", f"{MPH:g}", "--seed", "1"], check=True)
+            record = ("bc-record", session.stem, "--sessions", session.parent, "--driver", "keyboard")
+            drive_flags = ("--track", track, "--laps", "0.5", "--speed", f"{MPH:g}", "--seed", "1")
+            subprocess.run([*record, *drive_flags], check=True)
     trained = trained_on(folder, network, recipe, seed, sessions)
     drives = [(BuiltInSimulator(road), DriveConfig(set_speed_mph=MPH)) for road in ROADS]
     reports = [

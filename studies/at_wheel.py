@@ -191,7 +191,7 @@ def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int)
         done(folder, "bc-record", "short", "--track", track, "--laps", "0.05")
         done(folder, "bc-train", "--name", "short", "--epochs", "1")
     log, chance = folder / "drives" / "takeovers.mcap", random.Random(seed)
-    words = ["--simulator", track, "--laps", "1e6", "--takeover", "me", "--no-page", "--viewer", "off"]
+    words = ["--simulator", track, "--laps", "1000", "--takeover", "me", "--no-page", "--viewer", "off"]
     after, held = Counter[str](), 0
     with (
         running(folder, "bc-drive", str(run or "short"), *words, "--log", log) as drive,

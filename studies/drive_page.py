@@ -196,9 +196,6 @@ class DrivePage:
             self.page.click("#confirm button[value=end]")
             wait_for(lambda: self.see().is_ended or None, "the end of the drive")
 
-    def close(self) -> None:
-        self.page.close()
-
 
 class RoadMap:
     """The road of the map, to locate the car on it."""

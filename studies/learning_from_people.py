@@ -79,7 +79,7 @@ def main() -> None:
     logs: dict[str, Path] = {log.stem: log.resolve() for log in arguments.logs}
     pairs = [(first, second) for first, _, second in (pair.partition(":") for pair in arguments.across)]
     if any(name not in logs for pair in pairs for name in pair):
-        parser.error(f"--across: two names of logs were expected, for example {':'.join(list(logs)[:2])}")
+        parser.error(f"--across: expected two names of logs, for example {':'.join(list(logs)[:2])}")
     parts: list[Part] = [Part("held-out blocks of ", tuple(logs.values()))]
     for learnt, unseen in [*pairs, *((second, first) for first, second in pairs)]:
         parts.append(Part(f"{learnt} -> ", (logs[learnt],), (logs[unseen],)))

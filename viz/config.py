@@ -110,19 +110,14 @@ def check_viewer_flags(config: Play) -> None:
     if config.connect is not None and (config.web or config.save is not None):
         raise UsageError("--connect uses an open viewer: give it without --web, --save")
     if config.at is not None:
-        _check_moment(config)
+        if not 0 <= config.at < math.inf:
+            raise UsageError(f"--at {config.at:g}: expected seconds since the log's start, 0 or more")
+        if config.follow or config.by != "time":
+            raise UsageError("--at is a moment of finished logs, by time: give it without --follow, --by place")
     if config.save is not None and config.web:
         raise UsageError("--save writes a file and opens nothing: give it without --web")
     check_port("--port", config.port)
     check_port("--web-port", config.web_port)
-
-
-def _check_moment(config: Play) -> None:
-    """Raise UsageError for an impossible --at."""
-    if not 0 <= (config.at or 0) < math.inf:
-        raise UsageError(f"--at {config.at}: seconds since the log's start, from 0 on")
-    if config.follow or config.by != "time":
-        raise UsageError("--at is a moment of finished logs, by time: give it without --follow, --by place")
 
 
 def _refuse_overwriting_logs(config: Play) -> None:

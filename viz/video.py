@@ -84,7 +84,7 @@ class Schedule:
 def check_speed(speed: float) -> None:
     """Raise UserError for a speed outside MIN_SPEED..MAX_SPEED."""
     if not MIN_SPEED <= speed <= MAX_SPEED:
-        raise UserError(f"--speed {speed:g}: a number from {MIN_SPEED:g} to {MAX_SPEED:g} was expected")
+        raise UserError(f"--speed {speed:g}: expected a number from {MIN_SPEED:g} to {MAX_SPEED:g}")
 
 
 def write_video(

@@ -22,8 +22,8 @@ DEFAULT_PORT: Final = 9876
 
 _PATIENCE_S: Final = 10.0  # for a slow and busy machine
 _POLL_S: Final = 0.1
-_PORT: Final = re.compile(r"\d{1,5}")
-_PLACE: Final = re.compile(r"(?P<host>[\w.-]+|\[[\da-fA-F:]+\]):(?P<port>\d{1,5})")
+_PORT: Final = re.compile(r"[1-9]\d{0,4}")
+_PLACE: Final = re.compile(r"(?:[\w.-]+|\[[\da-fA-F:]+\]):[1-9]\d{0,4}")
 
 
 def viewer_url(address: str) -> str:
@@ -41,8 +41,7 @@ def viewer_url(address: str) -> str:
         if url.scheme == "rerun+http" and url.path == "/proxy" and url.hostname and url.port:
             return address
     raise UsageError(
-        f"--connect {address}: HOST:PORT, or PORT on this machine, was expected, for example"
-        f" {LOCAL}:{DEFAULT_PORT}"
+        f"--connect {address}: expected HOST:PORT, or PORT on this machine, for example {LOCAL}:{DEFAULT_PORT}"
     )
 
 

@@ -36,7 +36,7 @@ class DriveClock:
     def advance(self, now_s: float, world: World | None) -> float:
         """The drive's time of a telemetry message that arrived at `now_s` of a monotonic clock."""
         world_s = None if world is None else world.time_s
-        passed_s = min_s = 0.0 if self._now_s is None else now_s - self._now_s
+        passed_s = computer_s = 0.0 if self._now_s is None else now_s - self._now_s
         self.is_simulated = False
         stood_s, stood = self._standing.stood_s, self.stands
         self.missed_s = stood_s if self._standing.note(now_s, world_s) and not stood else 0.0
@@ -45,6 +45,6 @@ class DriveClock:
         if world_s is not None and self._world_s is not None and world_s - self._world_s <= LONGEST_STEP_S:
             passed_s, self.is_simulated = world_s - self._world_s, True
         self._now_s, self._world_s = now_s, world_s
-        self.safety_s += max(0.0, passed_s, min_s)
+        self.safety_s += max(0.0, passed_s, computer_s)
         self._time_s += max(0.0, passed_s)
         return self._time_s

@@ -105,6 +105,6 @@ def refuse_contradictions(config: Eval) -> None:
     elif flags := flags_given(config, "bins", "worst"):
         raise UsageError(f"{flags}: only for one run, but --compare takes two: give one or the other")
     if config.tolerance is not None and not 0 <= config.tolerance < 1:
-        raise UsageError(f"--tolerance {config.tolerance:g}: a share from 0 to 1 was expected")
+        raise UsageError(f"--tolerance {config.tolerance:g}: expected a share from 0 to less than 1")
     if config.worst is not None and config.worst < 0:
-        raise UsageError(f"--worst {config.worst:,}: a number of frames was expected, 0 for none")
+        raise UsageError(f"--worst {config.worst:,}: expected a number of frames, 0 for none")

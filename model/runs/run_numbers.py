@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
+from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG
 from common.errors import printable
 from model.metrics import Measures
 from model.runs.enough_to_drive import Hand
@@ -20,8 +21,7 @@ from model.runs.kept_results import KeptResult
 from model.runs.run_arguments import RUNS, run_argument
 from model.runs.training_progress import Epoch
 
-BUILT_IN_CAR: Final = {"max_steering_deg": 25.0, "wheelbase_m": 2.6}
-"""These settings identify the car of the built-in simulator, on whose roads more can be recorded at any time."""
+_BUILT_IN_CAR: Final = {"max_steering_deg": MAX_STEERING_DEG, "wheelbase_m": BUILT_IN_WHEELBASE_M}
 
 
 class StoredHabits(msgspec.Struct):
@@ -107,9 +107,9 @@ class RunNumbers:
 
     @property
     def is_built_in(self) -> bool:
-        """True if all sessions of the run are of the built-in simulator."""
+        """True if all sessions of the run are of the built-in simulator, on whose roads more can be recorded."""
         cars = [log.get("car") for log in self.data.logs.values()]
-        return bool(cars) and all(isinstance(car, dict) and BUILT_IN_CAR.items() <= car.items() for car in cars)
+        return bool(cars) and all(isinstance(car, dict) and _BUILT_IN_CAR.items() <= car.items() for car in cars)
 
     @property
     def is_donkeycar(self) -> bool:

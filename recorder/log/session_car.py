@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final, Literal
 
-from common.car import MAX_STEERING_DEG, MPS_PER_MPH
+from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG, MPS_PER_MPH
 from common.errors import printable
 from common.location import Location
-from common.stored_settings import read_toml, settings_from
+from common.stored_settings import settings_from, settings_of_file
 from recorder import topics
 from recorder.errors import LogError, RecordingError
 from recorder.log.reader import Log
@@ -52,13 +52,8 @@ class Car:
 
 
 UDACITY: Final = Car()
-
-
-def built_in() -> Car:
-    """The built-in simulator's car."""
-    from simulator.driving import vehicle  # also loads the client
-
-    return Car(wheelbase_m=vehicle.WHEELBASE_M)
+BUILT_IN: Final = Car(wheelbase_m=BUILT_IN_WHEELBASE_M)
+"""The built-in simulator's car."""
 
 
 def metadata_of(car: Car | None) -> dict[str, str]:
@@ -69,19 +64,17 @@ def metadata_of(car: Car | None) -> dict[str, str]:
 def named_car(name: str) -> Car:
     """The car with a name: `udacity`, `built-in`, or the path of a TOML file with settings of `Car`.
 
-    Raises RecordingError for a missing file, or unknown settings.
+    Raises RecordingError for a file that cannot be read, or has unknown or impossible settings.
     """
     if name == "udacity":
         return UDACITY
     if name == "built-in":
-        return built_in()
+        return BUILT_IN
     try:
-        return settings_from(Car, read_toml(name))
-    except FileNotFoundError:
-        hint = "expected udacity, built-in or a file of the car's settings"
-        raise RecordingError(f"--car {printable(name)}: no such file; {hint}") from None
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"--car {printable(name)}: {printable(' '.join(str(error).split()))}") from None
+        return settings_of_file(Car, name)
+    except ValueError as error:
+        hint = "" if name.endswith(".toml") else "; expected udacity, built-in or FILE.toml"
+        raise RecordingError(f"--car {printable(name)}: {error}{hint}") from None
 
 
 def stored_car(log: Log) -> Car | None:

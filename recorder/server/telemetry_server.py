@@ -40,8 +40,8 @@ NOTICE_POLLING: Final = (
 )
 
 NOTICE_REFUSED: Final = (
-    "refused a web page or client that asks {}: this port is for this machine, and for what --host names; others"
-    " write its address as numbers"
+    "refused a web page or client that connects {}: use this machine's numeric address, or the name given with"
+    " --host"
 )
 MAX_SHOWN_CHARACTERS: Final = 100  # of the refused name
 _SID: Final = "telemetry.sid"  # the key of a connection's name in its request's environment

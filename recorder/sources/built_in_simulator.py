@@ -17,7 +17,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
 from recorder.log.pose_message import pose_message
-from recorder.log.session_car import built_in, metadata_of
+from recorder.log.session_car import BUILT_IN, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import SimulatedDrive
@@ -116,7 +116,7 @@ def simulator_metadata(simulation: Simulation, driver: str, **drive: str) -> dic
         "track_fingerprint": simulation.track.fingerprint(),
         "driver": driver,
         **{f"drive.{name}": value for name, value in drive.items()},
-        **metadata_of(built_in()),
+        **metadata_of(BUILT_IN),
     }
 
 

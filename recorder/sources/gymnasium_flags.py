@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Final
 import tyro
 
 from common.errors import UsageError, printable
-from common.stored_settings import read_toml, settings_from
+from common.stored_settings import settings_of_file
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,10 @@ class EnvironmentSettings:
 
 
 def environment_settings(flags: GymFlags) -> EnvironmentSettings:
-    """The environment that `flags` name. Raises UsageError for a missing file, or unknown settings."""
+    """The environment that `flags` name. Raises UsageError for a file that cannot be read, or has
+    unknown settings."""
     name = str(flags.gym)
     try:
-        stored = read_toml(name) if name.endswith(".toml") else {"id": name}
-        return settings_from(EnvironmentSettings, stored)
-    except FileNotFoundError:
-        raise UsageError(f"--gym {printable(name)}: no such file") from None
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--gym {printable(name)}: {printable(' '.join(str(error).split()))}") from None
+        return settings_of_file(EnvironmentSettings, name) if name.endswith(".toml") else EnvironmentSettings(name)
+    except ValueError as error:
+        raise UsageError(f"--gym {printable(name)}: {error}") from None

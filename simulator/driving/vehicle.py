@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from common.car import MAX_STEERING_DEG, MPS_PER_MPH
+from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG, MPS_PER_MPH
 
 STEP_S = 0.02  # the simulator applies commands at 50 Hz (Unity's fixed time step)
 GRAVITY_MPS2 = 9.81
 
-WHEELBASE_M = 2.6  # a mid-size car
+WHEELBASE_M = BUILT_IN_WHEELBASE_M
 AXLE_TO_CENTRE_M = WHEELBASE_M / 2
 MAX_WHEEL_RAD = math.radians(MAX_STEERING_DEG)
 

@@ -94,9 +94,8 @@ def drive_autonomously(
         nonlocal command, start_s, farthest_m, farthest_s, gave_up
         if isinstance(received, SteerCommand):
             command = received
-            if (
-                real_time
-            ):  # lost time is not made up after a delay: a person could not steer a car that runs faster
+            if real_time:
+                # lost time is not made up after a delay: a person could not steer a car that runs faster
                 start_s = max(start_s, time.monotonic() - course.time_s)
                 time.sleep(max(0.0, start_s + course.time_s - time.monotonic()))
             course.advance(command.steering, command.throttle, step_s)

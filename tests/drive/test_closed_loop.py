@@ -22,7 +22,7 @@ from logs import read_messages
 from model import load_pilot
 from recorder import Imported, Log, RecordingError, import_udacity
 from recorder.cli import main as record_main
-from recorder.log.session_car import built_in, car_in
+from recorder.log.session_car import BUILT_IN, car_in
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from simulator.cli import main as sim_main
@@ -208,7 +208,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     with Log(called.log) as log:
         assert log.read_metadata("bc.simulator")["trajectory_sha256"] == printed["trajectory_sha256"]
         assert log.metadata["track"] == "lake"  # of its map
-        assert car_in(log.metadata, log.path) == built_in()  # where its cameras stand, and how it turns
+        assert car_in(log.metadata, log.path) == BUILT_IN  # where its cameras stand, and how it turns
 
 
 @pytest.mark.parametrize(

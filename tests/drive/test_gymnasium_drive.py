@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from bucket import serving_bucket
+from disk import files_of_at_most
 from drive.cli import main as bc_drive
 from driving import one_line_in, untrained_run
 from recorder.bc_pb2 import PilotCommand
@@ -90,6 +91,15 @@ def test_a_drive_is_copied_to_a_store_when_it_is_finished(
         assert call(bc_drive, *flags, "--drives", "s3://logs/drives") == 2
 
 
+def test_a_full_disk_ends_the_drive_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    line = [*bar(**SPEED), *UNSEEN, "--episodes", 40, "--log", "d.mcap"]
+    with files_of_at_most(60_000):
+        assert call(bc_drive, "first", *line) == 1
+    shown = capsys.readouterr()
+    assert "cannot be written any further (File too large)" in shown.err
+    assert shown.out.count("seed") < 40
+
+
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
     line = [*bar(args=SHORT), *UNSEEN, "--expert", "toy_environment:centre", "--log", "d.mcap"]
     assert call(bc_drive, "first", *line) == 0
@@ -122,6 +132,7 @@ def test_the_earlier_flags_name_their_successor(line: list[str], capsys: pytest.
         ([{}, *UNSEEN], 1, "for the pedals give the environment's key"),
         ([SPEED, *UNSEEN, "--simulator", "lake"], 2, "--simulator: not with --gym"),
         ([SPEED, *UNSEEN, "--takeover"], 2, "--takeover: not with --gym"),
+        ([SPEED, *UNSEEN, "--open"], 2, "--open: not with --gym"),
         ([SPEED, *UNSEEN, "--seed", "-1"], 2, "--seed -1"),
         (["--seed", "1"], 2, "--seed: only with --gym ID"),
         ([SPEED | {"args": {"observation": "numbers"}}, *UNSEEN], 1, "no camera picture"),

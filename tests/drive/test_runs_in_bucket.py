@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import pytest
 
 from bucket import Bucket, serving_bucket
 from common.stored_folder import StoredFolder
+from drive.drive_server import DriveServer
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import untrained_run
+from driving import call_drive, untrained_run
 from logs import write_log
 from model.runs.kept_results import kept_results
+from serving import fields
 from toy import STEERING, road
 from udacity import call
 
@@ -70,3 +73,18 @@ def test_a_drive_and_its_result_are_kept_in_the_store(
     log = bucket.folder / "drives/night-lake-10mph.mcap"
     assert log.read_bytes() == Path("drives", log.name).read_bytes()
     assert [kept.way for kept in kept_results(bucket.folder / "runs/night")[0]] == ["simulator"]
+
+
+def test_the_logs_of_all_simulators_are_copied(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def drive_two(server: DriveServer, **_: object) -> None:
+        for name in ("one", "two"):
+            server.connected(name)
+            server.telemetry(name, fields(0), time.perf_counter()).on_sent(1.0)
+
+    monkeypatch.setattr(DriveServer, "run", drive_two)
+    run = untrained_run(tmp_path / "here/night")
+    assert call_drive(run, "--log", f"{DRIVES}/run.mcap", "--port", 0, "--viewer", "off") == 0
+    for name in ("run.mcap", "run-2.mcap"):
+        assert (bucket.folder / "drives" / name).read_bytes() == Path("drives", name).read_bytes()

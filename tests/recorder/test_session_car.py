@@ -13,7 +13,7 @@ from logs import write_log
 from recorder import Log, LogWriter
 from recorder.cli import main as bc_record
 from recorder.errors import LogError
-from recorder.log.session_car import CAR_KEY, Car, built_in, max_steering_deg_of, named_car, stored_car
+from recorder.log.session_car import BUILT_IN, CAR_KEY, Car, max_steering_deg_of, named_car, stored_car
 from recorder.log_cli import main as bc_log
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.sources.built_in_simulator import record_simulated
@@ -77,7 +77,7 @@ def test_a_log_that_tells_none_is_of_udacitys() -> None:
 def test_the_built_in_simulators_sessions_tell_its_own(tmp_path: Path) -> None:
     record_simulated(SimulatedDrive(laps=0.001), tmp_path / "lake.mcap")
     with Log(tmp_path / "lake.mcap") as log:
-        assert stored_car(log) == built_in() == Car(max_steering_deg=25, wheelbase_m=2.6, speed_unit="mph")
+        assert stored_car(log) == BUILT_IN == Car(max_steering_deg=25, wheelbase_m=2.6, speed_unit="mph")
 
 
 def test_live_telemetry_is_in_the_degrees_and_the_unit_of_its_car() -> None:
@@ -118,7 +118,7 @@ def test_a_missing_file_and_the_simulators_own_car_are_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert call(bc_record, "own", "--from", recording(), "--car", "own.tml") == 1
-    assert "udacity, built-in or a file" in one_line_in(capsys)
+    assert "own.tml: no such file; expected udacity, built-in or FILE.toml" in one_line_in(capsys)
     assert call(bc_record, "own", "--car", "udacity") == 2
     assert "--car goes with --from, --listen or --gym" in one_line_in(capsys)
 

@@ -237,7 +237,7 @@ def test_bc_sim_tells_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFix
         (("--port", "99999"), "--port 99999"),
         (("--wait", "nan"), "--wait nan"),
         (("--replay", ".", "--count", "0"), "--count 0"),
-        (("--count", "3"), "--count 3"),
+        (("--count", "3"), "--count 3: only with --replay"),
         (("--replay", ".", "--laps", "2", "--real-time"), "--laps, --real-time"),
     ],
 )

@@ -308,6 +308,28 @@ def test_however_long_a_log_grows_its_file_has_one_histogram(
     assert len(entities["/histogram/recorded"]["BarChart:values"]) == 1
 
 
+class LateCommand(RowByRow):
+    """The same, but only the last row has a command."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        time_ns = START_NS + self.rows * STEP_NS
+        if self.rows == ROWS:
+            self._writer.command(time_ns, self.rows, PilotCommand())
+        self._writer.vehicle(time_ns, self.rows, VehicleState())
+        self._writer.flush_if_due()
+        self.rows += 1
+        if self.rows > ROWS + 1:
+            self._writer.close()
+        return False
+
+
+def test_a_file_has_one_layout_also_for_late_topics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
+    growing = LateCommand(LogWriter(tmp_path / "a.mcap", {}, live=True))
+    save_growing(tmp_path / "a.mcap", tmp_path / "a.rrd", stop=growing)
+    assert "who drives" in view_names(tmp_path / "a.rrd")
+
+
 def wait_for_bytes(folder: Path, pattern: str, size: int) -> None:
     wait_until(lambda: any(path.stat().st_size >= size for path in folder.glob(pattern)))
 

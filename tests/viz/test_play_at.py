@@ -103,8 +103,8 @@ def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, monkeypatch
     ("flags", "says"),
     [
         (("--at", "60"), f"--at 60: {{log}} is {LENGTH_S:.1f} s long"),
-        (("--at", "-1"), "--at -1.0: seconds since the log's start"),
-        (("--at", "nan"), "--at nan: seconds since the log's start"),
+        (("--at", "-1"), "--at -1: expected seconds since the log's start"),
+        (("--at", "nan"), "--at nan: expected seconds since the log's start"),
         (("--at", "1", "--follow"), "give it without --follow"),
         (("{log}", "--at", "1", "--by", "place"), "without --follow, --by place"),
         (("--at", "1", "--video", "x.mp4"), "give it without --at"),

@@ -171,8 +171,9 @@ def test_an_address_can_be_short() -> None:
     assert viewer_url("other:1234") == "rerun+http://other:1234/proxy"
     assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
     assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
-    for wrong in ("other", "http://other:1234", "a b:1", "rerun+http://other:x/proxy", "other:123456", "-x:1 2"):
-        with pytest.raises(UserError, match=r"^--connect .*: HOST:PORT, or PORT on this machine, was expected"):
+    wrong_port = "rerun+http://other:x/proxy"
+    for wrong in ("other", "http://other:1234", "a b:1", wrong_port, "other:123456", "-x:1 2", "0", "other:0"):
+        with pytest.raises(UserError, match=r"^--connect .*: expected HOST:PORT, or PORT on this machine"):
             viewer_url(wrong)
 
 
@@ -213,7 +214,7 @@ def test_what_is_no_viewer_is_one_line(
     with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
         patched.setattr("viz.viewer_connection._PATIENCE_S", 0.2)
         assert "no answer" in said(silent.getsockname()[1])
-    assert "HOST:PORT, or PORT on this machine, was expected" in said("somewhere", code=2)
+    assert "expected HOST:PORT, or PORT on this machine" in said("somewhere", code=2)
     assert "no viewer listens" in said("99999")
 
 

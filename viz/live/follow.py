@@ -108,7 +108,7 @@ def _send(
     not send pictures that are too old, but counts them in `log.skipped`.
     """
     keep_up = flush is not None
-    sender = LiveMessageSender(recording)
+    sender = LiveMessageSender(recording, is_watched=keep_up)
     pictures_of_last_s = HISTORY_S if keep_up else None
     last_s = whole_s = time.monotonic()
     while not has_failed.is_set():
@@ -117,7 +117,7 @@ def _send(
             sender.send(messages)
         is_last = is_last or log.is_finished or bool(log.notice)
         now_s = time.monotonic()
-        # A file keeps every version of these drawings, but only the last one is seen: draw them once, at the end.
+        # A file keeps every version of these drawings and of the layout, but only the last one is seen.
         if is_last or (keep_up and now_s - whole_s >= WHOLE_S):
             sender.finish()
             whole_s = now_s

@@ -32,10 +32,12 @@ class LiveMessage:
 
 
 class LiveMessageSender:
-    """Sends messages to a recording, and a new layout when a new topic appears."""
+    """Sends messages to a recording. If it is watched, it gets a new layout when a new topic appears; else it gets
+    one layout, from `finish`."""
 
-    def __init__(self, recording: rr.RecordingStream) -> None:
+    def __init__(self, recording: rr.RecordingStream, *, is_watched: bool) -> None:
         self._recording = recording
+        self._is_watched = is_watched
         self._start_ns: int | None = None
         self._drawing = Drawing(recording, self._clock)
         self._topics: set[str] = set()
@@ -49,7 +51,8 @@ class LiveMessageSender:
         for message in messages:
             by_topic.setdefault(message.topic, []).append(message)
         self._topics |= by_topic.keys()
-        if not self._topics <= PICTURE_TOPICS:  # pictures come first; their other topics come within a second
+        # pictures come first; their other topics come within a second
+        if self._is_watched and not self._topics <= PICTURE_TOPICS:
             self._lay_out()
         for topic in sorted(by_topic, key=lambda topic: topic not in PICTURE_TOPICS):
             topic_messages = by_topic[topic]
@@ -61,7 +64,8 @@ class LiveMessageSender:
                 self._drawing.send(topic, time_ns, contents)
 
     def finish(self) -> None:
-        """Send the drawings of all messages until now: histogram and path. Call it from time to time."""
+        """Send the layout if it has changed, and the drawings of all messages until now: histogram and path. Call
+        it at the end; if the recording is watched, also from time to time."""
         self._lay_out()
         self._drawing.finish()
 
