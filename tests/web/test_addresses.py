@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ import pytest
 
 from driving import road_jpeg
 from logs import write_log
+from runs import a_run
 from web.folders.project_folders import key_of
 from workbench import Served, served
 
@@ -51,3 +53,9 @@ def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
     assert bench.get(f"{at}/state").json["rows"] == 3
     assert "b\\udcffd" in bench.get(at, Accept="text/html").text
     assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)
+
+
+def test_a_run_of_a_session_whose_name_is_no_text_is_shown(bench: Served) -> None:
+    config = a_run(bench.folder / "runs", "x") / "config.json"
+    config.write_text(json.dumps({**json.loads(config.read_text()), "data": {"logs": {"\ud800": {}}}}))
+    assert "\\ud800" in bench.get("/runs/x").text

@@ -103,6 +103,7 @@ def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
         ("trim", {"first": "x", "last": "2"}, "the number of a row was expected"),
         ("trim", {"first": "0", "last": "2", "new": "../up"}, "the name of a log was expected"),
         ("trim", {"first": "0", "last": "2", "new": "-f"}, "the name of a log was expected"),
+        ("trim", {"first": "0", "last": "2", "new": "ü" * 150}, "the name of a log was expected"),  # 300 bytes
         ("trim", {"first": "0", "last": "2", "new": "other one"}, "exists already"),
         ("merge", {}, "choose at least one other log"),
         ("merge", {"other": "none"}, "no log 'none'"),

@@ -19,7 +19,7 @@ from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, is_recording
 
 _SUFFIX: Final = ".mcap"
-_MAX_CHARACTERS: Final = 200  # of a new log's name
+_MAX_BYTES: Final = 200  # of a new log's name
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def command_line(
 def _name(text: str) -> str:
     name = text.strip().removesuffix(_SUFFIX)
     is_name = name.isprintable() and "/" not in name and "\\" not in name and not name.startswith((".", "-"))
-    if not (name and is_name and len(name) <= _MAX_CHARACTERS):
+    if not (name and is_name and len(name.encode()) <= _MAX_BYTES):
         raise WebError(f"{printable(text[:60])!r}: the name of a log was expected, such as lake-2", 422)
     return name + _SUFFIX
 
