@@ -24,6 +24,13 @@ MAX_CHARACTERS: Final = 1000  # of a value
 Suggestions = Literal["", "sessions", "runs", "pictures", "topics"]
 
 
+def as_argument(word: str) -> str:
+    """The word for a command line. Raises WebError for one that looks like a flag."""
+    if word.startswith("-"):
+        raise WebError(f"{word!r} begins with a hyphen: a command would take it for a flag", 422)
+    return word
+
+
 @dataclass(frozen=True)
 class Field:
     """A value of a form. `flag` is None for `--name`, "" for words without a flag."""
@@ -50,10 +57,7 @@ class Field:
         if flag and not self.is_several:
             return [f"{flag}={value}"]
         parts = value.split() if self.is_several else [value]
-        for part in parts:
-            if part.startswith("-"):
-                raise WebError(f"{self.label}: a command would take {part!r} for a flag", 422)
-        return [*([flag] if flag else []), *parts]
+        return [*([flag] if flag else []), *map(as_argument, parts)]
 
 
 @dataclass(frozen=True)

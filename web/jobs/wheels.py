@@ -22,7 +22,7 @@ from recorder.sources.frame_rate import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
 from web.errors import WebError
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
-from web.jobs.job_forms import form_of
+from web.jobs.job_forms import as_argument, form_of
 from web.jobs.jobs import Job
 
 TRACKS: Final = ("lake", "mountain", "random", "hairpins")
@@ -102,7 +102,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     run = folders.run_folders().get(settings["run"])
     if run is None:
         raise WebError("run: choose a run; if there is none, train one first", 422)
-    words = ["bc-drive", run.name, "--takeover=me", speed]
+    words = ["bc-drive", as_argument(run.name), "--takeover=me", speed]
     words += [f"--simulator={_track(settings)}", *_start(settings)] if built_in else []
     words += folders.flags("runs")
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
@@ -110,7 +110,8 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
 
 def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list[str], str]:
     """The command that trains a network, and the name of the new run. It trains on a session; or, for a drive, it
-    trains the run that drove further, on the takeovers. Raises WebError if that run no longer exists."""
+    trains the run that drove further, on the takeovers. Raises WebError if that run no longer exists, and for a
+    session whose name looks like a flag."""
     runs = folders.run_folders()
     name = final_name(log.name).removesuffix(".mcap")
     if place == "drives":
@@ -126,7 +127,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     with Log(log) as session:
         epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
     values = {"name": run, "epochs": str(epochs), "recipe": QUICK_RECIPE}
-    return [*form_of("train").words(values, folders), "--on", name], run
+    return [*form_of("train").words(values, folders), "--on", as_argument(name)], run
 
 
 QUICK_RECIPE: Final[Recipe] = "people"
