@@ -59,3 +59,10 @@ def test_a_run_of_a_session_whose_name_is_no_text_is_shown(bench: Served) -> Non
     config = a_run(bench.folder / "runs", "x") / "config.json"
     config.write_text(json.dumps({**json.loads(config.read_text()), "data": {"logs": {"\ud800": {}}}}))
     assert "\\ud800" in bench.get("/runs/x").text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes there")
+def test_a_pipe_in_place_of_a_runs_settings_blocks_no_page(bench: Served) -> None:
+    (bench.folder / "runs" / "pipe").mkdir()
+    os.mkfifo(bench.folder / "runs" / "pipe" / "config.json")
+    assert bench.get("/sessions/a/links").status == 200
