@@ -34,7 +34,6 @@ export class Gamepads {
     this.#onProblem = onProblem;
   }
 
-
   get names() {
     return [...this.#pads.values()].map((pad) => pad.name);
   }
