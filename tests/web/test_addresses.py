@@ -43,7 +43,7 @@ def test_what_is_no_number_of_a_picture_is_not_there(bench: Served, path: str) -
     for number in ("1" * 5000, "-1", "%D9%A1"):
         answer = bench.get(path.format(number))
         assert answer.status == 404
-        assert "a number was expected in the address" in answer.json["error"]
+        assert "expected a number in the address" in answer.json["error"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")

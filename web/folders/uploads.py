@@ -46,9 +46,10 @@ class Upload:
     """An upload that is being received: `write` its bytes, then `finish` it. Otherwise nothing is kept."""
 
     def __init__(self, folder: Path, manifest_bytes: int, total_bytes: int) -> None:
-        """`folder` has all uploads. Raises WebError if this one is too large."""
-        if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes) or total_bytes > MAX_UPLOAD_BYTES:
-            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are allowed", 413)
+        """`folder` has all uploads. Raises WebError for a manifest of an invalid length. The server has checked
+        `total_bytes`."""
+        if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes):
+            raise WebError(f"manifest={manifest_bytes}: expected the bytes of the upload's manifest", 422)
         self._parent = folder
         self._above: list[Path] = []
         self._name = "recording"

@@ -86,11 +86,11 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     settings = {**DEFAULTS, **earlier, **filled}
     name = settings["name"] or free_name("drive", folders)
     if not _NAME.fullmatch(name):
-        raise WebError("name: letters, digits, and . _ - were expected, such as lake-1", 422)
+        raise WebError("name: expected letters, digits, and . _ -, such as lake-1", 422)
     if not _is_rate(settings["rate"]):
-        raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
+        raise WebError(f"rows a second: expected at most 50 that divides 100, such as {', '.join(RATES_HZ)}", 422)
     if not _is_speed(settings["speed"]):
-        raise WebError("speed: mph above 0 and up to 100 were expected", 422)
+        raise WebError("speed: expected mph above 0 and up to 100", 422)
     speed = f"--speed={settings['speed']}"
     built_in = settings["simulator"] == "built-in"
     if settings["driver"] == "me":
@@ -209,7 +209,7 @@ def _track(settings: Mapping[str, str]) -> str:
     seed = own_seed or settings["seed"]
     if kind not in TRACKS or not _SEED.fullmatch(seed) or (own_seed and kind not in SEEDED):
         raise WebError(
-            "track: lake, mountain, random or hairpins was expected; random and hairpins have a seed from 0 on",
+            "track: expected lake, mountain, random or hairpins; random and hairpins have a seed from 0 on",
             422,
         )
     return f"{kind}:{seed}" if kind in SEEDED else kind
@@ -230,7 +230,7 @@ def _is_speed(text: str) -> bool:
 def _start(settings: Mapping[str, str]) -> list[str]:
     """The flag for the place where a drive begins, if that is not the track's start."""
     if not _START.fullmatch(settings["start"]):
-        raise WebError("start: metres along the track were expected", 422)
+        raise WebError("start: expected metres along the track", 422)
     return [f"--start={settings['start']}"] if float(settings["start"]) else []
 
 
