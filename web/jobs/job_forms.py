@@ -1,7 +1,7 @@
 """The forms that start commands, and the command line of each.
 
-An empty field gives no flag: the command's own default applies. The command itself checks the values, in its first
-second.
+An empty field gives no flag: the command's own default applies. The command itself checks all values except
+choices, in its first second.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ class Field:
         return f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
 
     def words(self, value: str) -> list[str]:
+        if self.choices and value not in self.choices:  # another `--network` would name code to run
+            raise WebError(f"{self.label}: expected one of {', '.join(self.choices)}", 422)
         flag = self.as_flag
         if self.is_switch:
             return [flag] if value else []
