@@ -88,7 +88,7 @@ def _check_folders(config: Web) -> None:
         if isinstance(folder, Url):
             continue
         if folder.exists() and not folder.is_dir():
-            raise UserError(f"--{name} {folder}: a file; a folder was expected")
+            raise UserError(f"--{name} {folder}: expected a folder, but it is a file")
         if not folder.exists() and folder != getattr(Web, name):
             print_message(f"--{name} {folder}: no such folder yet; it will be shown when it exists")
 

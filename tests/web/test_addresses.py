@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ import pytest
 
 from driving import road_jpeg
 from logs import write_log
+from runs import a_run
 from web.folders.project_folders import key_of
 from workbench import Served, served
 
@@ -41,7 +43,7 @@ def test_what_is_no_number_of_a_picture_is_not_there(bench: Served, path: str) -
     for number in ("1" * 5000, "-1", "%D9%A1"):
         answer = bench.get(path.format(number))
         assert answer.status == 404
-        assert "a number was expected in the address" in answer.json["error"]
+        assert "expected a number in the address" in answer.json["error"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
@@ -51,3 +53,16 @@ def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
     assert bench.get(f"{at}/state").json["rows"] == 3
     assert "b\\udcffd" in bench.get(at, Accept="text/html").text
     assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)
+
+
+def test_a_run_of_a_session_whose_name_is_no_text_is_shown(bench: Served) -> None:
+    config = a_run(bench.folder / "runs", "x") / "config.json"
+    config.write_text(json.dumps({**json.loads(config.read_text()), "data": {"logs": {"\ud800": {}}}}))
+    assert "\\ud800" in bench.get("/runs/x").text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes there")
+def test_a_pipe_in_place_of_a_runs_settings_blocks_no_page(bench: Served) -> None:
+    (bench.folder / "runs" / "pipe").mkdir()
+    os.mkfifo(bench.folder / "runs" / "pipe" / "config.json")
+    assert bench.get("/sessions/a/links").status == 200

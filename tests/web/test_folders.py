@@ -18,4 +18,4 @@ def test_a_file_is_no_folder(
     Path("plain").touch()
     assert call(main, f"--{flag}", "plain") == 1
     told = capsys.readouterr()
-    assert (told.out, told.err) == ("", f"bc-web: --{flag} plain: a file; a folder was expected\n")
+    assert (told.out, told.err) == ("", f"bc-web: --{flag} plain: expected a folder, but it is a file\n")

@@ -61,6 +61,24 @@ def test_a_folder_and_a_zip_are_dropped(browser: Browser, tmp_path: Path) -> Non
         assert not (tmp_path / "recordings" / "second").exists()
 
 
+def test_a_folder_of_any_number_of_files_is_listed(browser: Browser, tmp_path: Path) -> None:
+    """A function call takes only about a hundred thousand arguments."""
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/import") as page:
+        page.wait_for_load_state()
+        page.evaluate(
+            """() => {
+                const file = { isFile: true, fullPath: "/lake/IMG/a", file: (done) => done(new File([], "a")) };
+                const reader = (parts) => ({ readEntries: (done) => done(parts.shift() ?? []) });
+                const folder = (parts) => ({ createReader: () => reader(parts) });
+                const batches = Array.from({ length: 3001 }, () => Array(100).fill(file));
+                const item = { webkitGetAsEntry: () => folder([[folder(batches)]]), getAsFile: () => null };
+                document.dispatchEvent(Object.assign(new Event("drop"), { dataTransfer: { items: [item] } }));
+            }"""
+        )
+        page.wait_for_selector("#problem:visible")
+        assert page.inner_text("#problem") == "300100 files: at most 300000 are allowed."
+
+
 def test_a_cancelled_upload_leaves_nothing(browser: Browser, tmp_path: Path) -> None:
     (tmp_path / "large").mkdir()
     with (tmp_path / "large" / "hole").open("wb") as stream:

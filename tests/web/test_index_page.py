@@ -176,6 +176,17 @@ def test_an_index_of_another_version_or_hand_is_told(
         assert other.get("/index.bins").status == 422
 
 
+def test_names_in_an_index_that_are_no_text_are_shown(bench: Served, tmp_path: Path) -> None:
+    whole = pq.read_table(bench.folder / "index" / "samples.parquet")
+    stored = {**json.loads(whole.schema.metadata[b"bc.index"]), "counts": {"\ud800": {"\udfff": 3}}}
+    (tmp_path / "index").mkdir()
+    metadata = {b"bc.index": json.dumps(stored).encode()}
+    pq.write_table(whole.replace_schema_metadata(metadata), tmp_path / "index" / "samples.parquet")
+    with served(tmp_path) as other:
+        page = other.get("/index").text
+    assert ("\\ud800" in page, "\\udfff" in page) == (True, True)
+
+
 def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         page = bench.get("/index").text

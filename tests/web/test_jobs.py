@@ -177,6 +177,7 @@ def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.M
         {"form": "record", "name": "x" * 2000},
         {"form": "drive", "track": "lake --json"},
         {"form": "index", "sessions": "a --index=/tmp/x"},
+        {"form": "train", "network": "recordings/uploaded/code.py:Net"},  # it would run code
     ],
 )
 def test_what_cannot_be_a_command_is_not_started(bench: Served, values: dict[str, str]) -> None:

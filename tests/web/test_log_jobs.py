@@ -100,9 +100,10 @@ def test_the_commands_that_are_shown_do_it(bench: Served) -> None:
 def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
     for job, values, why in (
         ("trim", {"first": "3", "last": "2"}, "the first row, then the last one"),
-        ("trim", {"first": "x", "last": "2"}, "the number of a row was expected"),
-        ("trim", {"first": "0", "last": "2", "new": "../up"}, "the name of a log was expected"),
-        ("trim", {"first": "0", "last": "2", "new": "-f"}, "the name of a log was expected"),
+        ("trim", {"first": "x", "last": "2"}, "expected the number of a row"),
+        ("trim", {"first": "0", "last": "2", "new": "../up"}, "expected the name of a log"),
+        ("trim", {"first": "0", "last": "2", "new": "-f"}, "expected the name of a log"),
+        ("trim", {"first": "0", "last": "2", "new": "ü" * 150}, "expected the name of a log"),  # 300 bytes
         ("trim", {"first": "0", "last": "2", "new": "other one"}, "exists already"),
         ("merge", {}, "choose at least one other log"),
         ("merge", {"other": "none"}, "no log 'none'"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 import pytest
+from safetensors.numpy import load_file, save_file
 
 import dataset.cli
 from driving import road_jpeg, untrained_run
 from histories import epoch_line, write_lines
 from logs import write_log
+from model.runs.run_files import WEIGHTS
 from pages import opened_page
 from recorder import Log
 from recorder.log.tags import Tag, read_tags
@@ -282,6 +285,12 @@ def test_what_cannot_be_shown_says_why(bench: Served) -> None:
     asked("of=sessions/new&run=pixels")
     problem = wait_until(lambda: asked("of=sessions/new&run=pixels", "GET").json["problem"])
     assert "no picture of the centre camera" in problem
+    weights = untrained_run(bench.folder / "runs" / "diverged") / WEIGHTS
+    save_file({name: layer * np.nan for name, layer in load_file(weights).items()}, weights)
+    asked("of=sessions/day&run=diverged")
+    problem = wait_until(lambda: asked("of=sessions/day&run=diverged", "GET").json["problem"])
+    assert "not finite" in problem
+    shutil.rmtree(weights.parent)
     own = untrained_run(bench.folder / "runs" / "own")
     changed_config(own, network={"name": "mine.py:Net", "arguments": {}, "file_sha256": "0" * 64})
     assert "your own code" in asked("of=sessions/day&run=own").json["error"]

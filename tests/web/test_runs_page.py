@@ -137,7 +137,7 @@ def test_runs_measured_on_different_frames_are_listed_apart(tmp_path: Path) -> N
         [("c", "A"), ("a", "A"), ("b", "B")],  # by which was written last
         [("b", "A"), ("c", "B"), ("a", "B")],
     )
-    assert "--session NAME" in listed
+    assert ("--session NAME</code>" in listed, "`" in listed) == (True, False)
 
 
 def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:

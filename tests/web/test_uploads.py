@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import html
+import os
 import re
 import socket
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -103,7 +105,25 @@ def test_a_session_of_this_toolkit_is_taken_as_it_is(bench: Served, tmp_path: Pa
     assert left_by(bench) == []
     upload(bench, {"own.mcap": data})
     assert "own-2" in bench.get(page).text  # no session is replaced
-    assert bench.post(f"{page}/take", **values).status == 422
+    answer = bench.post(f"{page}/take", **values)
+    assert (answer.status, "own.mcap: exists already" in answer.text) == (409, True)
+
+
+def test_a_session_does_not_get_tags_that_another_one_left(bench: Served, tmp_path: Path) -> None:
+    """Its own tags could not be moved after it."""
+    page = upload(bench, {"own.mcap": write_log(tmp_path / "own.mcap", [0.1, 0.2]).read_bytes()}).json["page"]
+    (bench.folder / "sessions").mkdir(exist_ok=True)
+    (bench.folder / "sessions" / "own.tags.jsonl").write_text("")
+    answer = bench.post(f"{page}/take", **values_of(bench.get(page).text))
+    assert (answer.status, "own.tags.jsonl: exists already" in answer.text) == (409, True)
+    assert "own.mcap" in bench.get(page).text
+
+
+def test_a_folder_whose_name_is_no_text_is_left_out(bench: Served, tmp_path: Path) -> None:
+    (bench.folder / "recordings").mkdir()
+    (bench.folder / "recordings" / os.fsdecode(b"b\xffd")).mkdir()
+    upload(bench, {"lake/a": b"1"})
+    assert re.findall("/import/([^/]*)/remove", bench.get("/import").text) == ["lake"]
 
 
 def test_a_broken_off_upload_leaves_nothing(bench: Served, tmp_path: Path) -> None:
@@ -159,6 +179,7 @@ def test_zips_that_nobody_would_want_are_refused(bench: Served, monkeypatch: pyt
     link = zipped({"a": b"/etc/passwd"}, external_attr=0o120777 << 16)
     damaged = whole.replace(b"a", b"b", 1)
     bad: dict[str, bytes] = {"cut off": whole[:-30], "a link": link, "damaged": damaged, "no zip": b"no zip"}
+    bad["LZMA"] = zipped({"a": b"x" * 1000}, compress_type=zipfile.ZIP_LZMA)  # damaged ones raise other errors
     bad["directory"] = whole[:-22] + whole[-22:-10] + (1 << 30).to_bytes(4, "little") + whole[-6:]
     for why, data in bad.items():
         assert upload(bench, {"a.zip": data}).status in (413, 422), why

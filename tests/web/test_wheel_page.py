@@ -19,7 +19,7 @@ from simulator.pose import Pose
 from simulator.roads.track import load_track
 from waiting import wait_until
 from web.errors import WebError
-from web.folders.project_folders import ProjectFolders
+from web.folders.project_folders import ProjectFolders, key_of
 from web.jobs.wheels import new_drive, quick_epochs, training
 from workbench import Served, served
 
@@ -93,6 +93,19 @@ def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypat
     assert (shlex.join(words), run) == ("bc-train --name=mine --epochs=10 --recipe=people --on mine", "mine")
     untrained_run(Path("runs") / "mine")
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
+
+
+def test_the_name_of_a_run_or_session_never_becomes_a_flag(tmp_path: Path) -> None:
+    """A flag may name code to run."""
+    folders = ProjectFolders(tmp_path / "sessions", runs=tmp_path / "runs", drives=tmp_path / "drives")
+    run = untrained_run(tmp_path / "runs" / "--network=evil:Net")
+    log = write_log(tmp_path / "sessions" / "--network=evil:Net.mcap", [0.1])
+    for make in (
+        lambda: new_drive({"driver": "run", "run": key_of(run)}, folders),
+        lambda: training("sessions", log, folders),
+    ):
+        with pytest.raises(WebError, match="would take it for a flag"):
+            make()
 
 
 @pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (1100, 6), (4300, 3), (100_000, 2)])

@@ -7,7 +7,6 @@ Sizes, times and versions of logs come from the file system or from the store's 
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -240,9 +239,9 @@ def as_word(log: Location) -> str:
 
 
 def key_of(path: Location) -> str:
-    """The key of a file or folder in addresses: its name without .mcap if that is plain, else its hash. File names
-    may have any bytes, also invalid text."""
+    """The key of a file or folder in addresses: its name without .mcap if that is plain, else its hash. Names may
+    be invalid text."""
     name = path.name.removesuffix(_LOG)
     if _PLAIN.fullmatch(name):
         return name
-    return "~" + hashlib.sha256(os.fsencode(path.name)).hexdigest()[:20]
+    return "~" + hashlib.sha256(path.name.encode(errors="surrogatepass")).hexdigest()[:20]

@@ -46,9 +46,10 @@ class Upload:
     """An upload that is being received: `write` its bytes, then `finish` it. Otherwise nothing is kept."""
 
     def __init__(self, folder: Path, manifest_bytes: int, total_bytes: int) -> None:
-        """`folder` has all uploads. Raises WebError if this one is too large."""
-        if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes) or total_bytes > MAX_UPLOAD_BYTES:
-            raise WebError(f"an upload of {total_bytes:,} bytes: at most {MAX_UPLOAD_BYTES:,} are allowed", 413)
+        """`folder` has all uploads. Raises WebError for a manifest of an invalid length. The server has checked
+        `total_bytes`."""
+        if not 0 < manifest_bytes <= min(_MAX_MANIFEST_BYTES, total_bytes):
+            raise WebError(f"manifest={manifest_bytes}: expected the bytes of the upload's manifest", 422)
         self._parent = folder
         self._above: list[Path] = []
         self._name = "recording"
@@ -110,7 +111,7 @@ class Upload:
         manifest = json_as(bytes(self._manifest), Manifest)
         self._manifest.clear()
         if manifest is None or not 0 < len(manifest.files) <= MAX_FILES:
-            raise WebError(f"an upload of 1 to {MAX_FILES:,} files was expected", 422)
+            raise WebError(f"expected an upload of 1 to {MAX_FILES:,} files", 422)
         sizes = [size for _, size in manifest.files]
         if min(sizes) < 0 or sum(sizes) != self._total_bytes:
             raise WebError("the upload's files have other sizes than its manifest says", 422)
@@ -152,12 +153,12 @@ class Upload:
 
 
 def uploads_in(folder: Path) -> dict[str, Path]:
-    """The uploads in a folder by their names, which are plain."""
+    """The uploads in a folder by their names. A folder whose name cannot be shown is left out."""
     try:
         uploads = [path for path in sorted(folder.iterdir()) if path.is_dir() and path.suffix != PART_SUFFIX]
     except OSError:
         return {}
-    return {path.name: path for path in uploads}
+    return {path.name: path for path in uploads if path.name.isprintable()}
 
 
 def remove_upload(upload: Path) -> None:
@@ -190,8 +191,8 @@ def _unpack(archive: zipfile.ZipFile, folder: Path) -> None:
             continue
         if (member.external_attr >> 28) == 0xA:  # a link, as Unix writes it
             raise WebError(f"{printable(member.filename)}: links are not unpacked; zip the files themselves", 422)
-        if member.flag_bits & 1:
-            raise WebError("the zip has a password: unpack it, and drop the folder", 422)
+        if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise WebError("the zip has a password or an unusual compression: unpack it, and drop the folder", 422)
         with archive.open(member) as source, _new_file(folder.joinpath(*parts)) as target:
             while block := source.read(_BLOCK_BYTES):
                 left -= len(block)

@@ -70,7 +70,7 @@ def view_index(index: Path) -> IndexView:
             balance.before.tolist(),
             balance.after.tolist(),
             {
-                str(session): {str(way): int(count) for way, count in counts.items()}
+                str(session): {printable(str(way)): int(count) for way, count in counts.items()}
                 for session, counts in metadata["counts"].items()
             },
         )

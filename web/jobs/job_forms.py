@@ -1,7 +1,7 @@
 """The forms that start commands, and the command line of each.
 
-An empty field gives no flag: the command's own default applies. The command itself checks the values, in its first
-second.
+An empty field gives no flag: the command's own default applies. The command itself checks all values except
+choices, in its first second.
 """
 
 from __future__ import annotations
@@ -24,6 +24,13 @@ MAX_CHARACTERS: Final = 1000  # of a value
 Suggestions = Literal["", "sessions", "runs", "pictures", "topics"]
 
 
+def as_argument(word: str) -> str:
+    """The word for a command line. Raises WebError for one that looks like a flag."""
+    if word.startswith("-"):
+        raise WebError(f"{word!r} begins with a hyphen: a command would take it for a flag", 422)
+    return word
+
+
 @dataclass(frozen=True)
 class Field:
     """A value of a form. `flag` is None for `--name`, "" for words without a flag."""
@@ -44,16 +51,15 @@ class Field:
         return f"--{self.name.replace('_', '-')}" if self.flag is None else self.flag
 
     def words(self, value: str) -> list[str]:
+        if self.choices and value not in self.choices:  # another `--network` would name code to run
+            raise WebError(f"{self.label}: expected one of {', '.join(self.choices)}", 422)
         flag = self.as_flag
         if self.is_switch:
             return [flag] if value else []
         if flag and not self.is_several:
             return [f"{flag}={value}"]
         parts = value.split() if self.is_several else [value]
-        for part in parts:
-            if part.startswith("-"):
-                raise WebError(f"{self.label}: a command would take {part!r} for a flag", 422)
-        return [*([flag] if flag else []), *parts]
+        return [*([flag] if flag else []), *map(as_argument, parts)]
 
 
 @dataclass(frozen=True)

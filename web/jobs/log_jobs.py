@@ -19,7 +19,7 @@ from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, is_recording
 
 _SUFFIX: Final = ".mcap"
-_MAX_CHARACTERS: Final = 200  # of a new log's name
+_MAX_BYTES: Final = 200  # of a new log's name
 
 
 @dataclass(frozen=True)
@@ -136,13 +136,13 @@ def command_line(
 def _name(text: str) -> str:
     name = text.strip().removesuffix(_SUFFIX)
     is_name = name.isprintable() and "/" not in name and "\\" not in name and not name.startswith((".", "-"))
-    if not (name and is_name and len(name) <= _MAX_CHARACTERS):
-        raise WebError(f"{printable(text[:60])!r}: the name of a log was expected, such as lake-2", 422)
+    if not (name and is_name and len(name.encode()) <= _MAX_BYTES):
+        raise WebError(f"{printable(text[:60])!r}: expected the name of a log, such as lake-2", 422)
     return name + _SUFFIX
 
 
 def _row(text: str, field: str) -> int:
     row = whole_number(text)
     if row is None:
-        raise WebError(f"{field}: the number of a row was expected, not {printable(text[:20])!r}", 422)
+        raise WebError(f"{field}: expected the number of a row, not {printable(text[:20])!r}", 422)
     return row

@@ -22,7 +22,7 @@ from recorder.sources.frame_rate import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
 from web.errors import WebError
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
-from web.jobs.job_forms import form_of
+from web.jobs.job_forms import as_argument, form_of
 from web.jobs.jobs import Job
 
 TRACKS: Final = ("lake", "mountain", "random", "hairpins")
@@ -86,11 +86,11 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     settings = {**DEFAULTS, **earlier, **filled}
     name = settings["name"] or free_name("drive", folders)
     if not _NAME.fullmatch(name):
-        raise WebError("name: letters, digits, and . _ - were expected, such as lake-1", 422)
+        raise WebError("name: expected letters, digits, and . _ -, such as lake-1", 422)
     if not _is_rate(settings["rate"]):
-        raise WebError(f"rows a second: one of {', '.join(RATES_HZ)} was expected", 422)
+        raise WebError(f"rows a second: expected at most 50 that divides 100, such as {', '.join(RATES_HZ)}", 422)
     if not _is_speed(settings["speed"]):
-        raise WebError("speed: mph above 0 and up to 100 were expected", 422)
+        raise WebError("speed: expected mph above 0 and up to 100", 422)
     speed = f"--speed={settings['speed']}"
     built_in = settings["simulator"] == "built-in"
     if settings["driver"] == "me":
@@ -102,7 +102,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     run = folders.run_folders().get(settings["run"])
     if run is None:
         raise WebError("run: choose a run; if there is none, train one first", 422)
-    words = ["bc-drive", run.name, "--takeover=me", speed]
+    words = ["bc-drive", as_argument(run.name), "--takeover=me", speed]
     words += [f"--simulator={_track(settings)}", *_start(settings)] if built_in else []
     words += folders.flags("runs")
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
@@ -110,7 +110,8 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
 
 def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list[str], str]:
     """The command that trains a network, and the name of the new run. It trains on a session; or, for a drive, it
-    trains the run that drove further, on the takeovers. Raises WebError if that run no longer exists."""
+    trains the run that drove further, on the takeovers. Raises WebError if that run no longer exists, and for a
+    session whose name looks like a flag."""
     runs = folders.run_folders()
     name = final_name(log.name).removesuffix(".mcap")
     if place == "drives":
@@ -126,7 +127,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     with Log(log) as session:
         epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
     values = {"name": run, "epochs": str(epochs), "recipe": QUICK_RECIPE}
-    return [*form_of("train").words(values, folders), "--on", name], run
+    return [*form_of("train").words(values, folders), "--on", as_argument(name)], run
 
 
 QUICK_RECIPE: Final[Recipe] = "people"
@@ -208,7 +209,7 @@ def _track(settings: Mapping[str, str]) -> str:
     seed = own_seed or settings["seed"]
     if kind not in TRACKS or not _SEED.fullmatch(seed) or (own_seed and kind not in SEEDED):
         raise WebError(
-            "track: lake, mountain, random or hairpins was expected; random and hairpins have a seed from 0 on",
+            "track: expected lake, mountain, random or hairpins; random and hairpins have a seed from 0 on",
             422,
         )
     return f"{kind}:{seed}" if kind in SEEDED else kind
@@ -229,7 +230,7 @@ def _is_speed(text: str) -> bool:
 def _start(settings: Mapping[str, str]) -> list[str]:
     """The flag for the place where a drive begins, if that is not the track's start."""
     if not _START.fullmatch(settings["start"]):
-        raise WebError("start: metres along the track were expected", 422)
+        raise WebError("start: expected metres along the track", 422)
     return [f"--start={settings['start']}"] if float(settings["start"]) else []
 
 

@@ -255,7 +255,6 @@ def _is_empty(path: Location) -> bool:
 
 
 def _read_glance(path: Location) -> Glance:
-
     with Log(path) as log:
         info = describe(log, with_tags=False, with_kept_lag=False)  # tags and lag change without the log
         info = dataclasses.replace(info, path="", notice=printable(info.notice))  # a path may be invalid text

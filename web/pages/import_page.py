@@ -106,8 +106,10 @@ def import_routes(bench: Workbench) -> list[Route]:
         if isinstance(sessions, Url):
             raise WebError(f"copy it to the store: `bc-log copy {printable(str(log))} {sessions}`", 422)
         if not name or plain_name(name) != name:
-            raise WebError(f"{printable(name)!r}: a plain name was expected, such as {plain_name(name)}", 422)
+            raise WebError(f"{printable(name)!r}: expected a plain name, such as {plain_name(name)}", 422)
         to = sessions / f"{name}.mcap"
+        if taken := [path for path in (to, tags_path(to)) if bench.folders.is_taken(path)]:
+            raise WebError(f"{taken[0]}: exists already; give another name", 409)
         sessions.mkdir(parents=True, exist_ok=True)
         with uninterrupted():
             publish(log, to, overwrite=False)

@@ -54,9 +54,7 @@ def map_routes(bench: Workbench) -> list[Route]:
 
     def stop(request: Request) -> Response:
         """Stop the work for all pages that wait for it."""
-        key = request.query_params.get("key", "")
-        if bench.maps.work.requested(key) is not None:  # not of a server that has started since
-            bench.maps.work.stop(key)
+        bench.maps.work.stop(request.query_params.get("key", ""))
         return Response(status_code=204)
 
     def points(request: Request) -> Response:
@@ -77,7 +75,7 @@ def map_routes(bench: Workbench) -> list[Route]:
 def _place_and_key(address: str) -> tuple[Any, str]:
     place, _, key = address.partition("/")
     if place not in PLACES:
-        raise WebError(f"{printable(address[:80])}: no log; sessions/NAME or drives/NAME was expected", 404)
+        raise WebError(f"{printable(address[:80])}: expected sessions/NAME or drives/NAME", 404)
     return place, key
 
 

@@ -47,5 +47,5 @@ def number_in(request: Request, part: str) -> int:
     text = request.path_params[part]
     number = whole_number(text)
     if number is None:
-        raise WebError(f"{part}: a number was expected in the address, not {printable(text[:20])!r}", 404)
+        raise WebError(f"{part}: expected a number in the address, not {printable(text[:20])!r}", 404)
     return number

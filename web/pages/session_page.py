@@ -133,7 +133,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
 
 def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
-    """The data of a log file_tagss its rows. `course` is None for a log without commands and poses."""
+    """The data of a log, without its rows and tags. `course` is None for a log without commands and poses."""
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
     has_course = is_driven(log.counts)

@@ -18,6 +18,7 @@ from recorder.log.tags import EXCLUDE, FINE, Tag, add_tags, check_name, names_us
 from recorder.upkeep.edit import check_rows
 from web.errors import WebError
 from web.folders.project_folders import Place
+from web.jobs.job_forms import as_argument
 from web.pages.workbench import Workbench
 
 MAX_STRETCHES: Final = 10_000  # in one change of a log
@@ -62,11 +63,9 @@ def change_tags(bench: Workbench, place: Place, path: Location, change: TagChang
     """Make all of a change, or nothing. Return the changed stretches, and the commands that do the same. Raises
     WebError, LogError, StoreError."""
     try:
-        check_name(change.name)
+        check_name(as_argument(change.name))
     except ValueError as error:
         raise WebError(str(error), 422) from None
-    if change.name.startswith("-"):
-        raise WebError(f"{change.name}: a command would take it for a flag; choose another name", 422)
     for first, last in change.rows:
         if not 0 <= first <= last:
             raise WebError(f"rows {first} to {last}: the first row, then the last one", 422)

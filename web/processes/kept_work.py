@@ -142,7 +142,7 @@ class KeptWork:
         return {**state, **work.progress, "problem": problem}
 
     def stop(self, key: str) -> None:
-        """Stop a work for all pages, unless it is done."""
+        """Stop a work for all pages, unless it is done, or was never requested."""
         with self._lock:
             work = self._requested.get(key)
             if work is None or work.is_done:

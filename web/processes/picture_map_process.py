@@ -130,7 +130,8 @@ class _FeatureReader:
             self._network = load_network(run).eval()
 
     def features(self, crops: Image) -> tuple[Floats, NDArray[np.float64]]:
-        """Features (N, D) and predicted steering (N,) of crops (N, `spec.shape`); without a network, it is NaN."""
+        """Features (N, D) and predicted steering (N,) of crops (N, `spec.shape`); without a network, it is NaN.
+        Raises WebError for a network with numbers that are not finite."""
         if self._network is None:
             shrunk = [cv2.resize(crop, _SHRUNK, interpolation=cv2.INTER_AREA) for crop in crops]
             pixels: Floats = np.array(shrunk, np.float32).reshape(len(crops), -1) / np.float32(255)
@@ -140,6 +141,8 @@ class _FeatureReader:
         from model.network.inner_features import answers_and_features
 
         answers, features = answers_and_features(self._network, as_input(crops))
+        if not (answers.isfinite().all() and features.isfinite().all()):
+            raise WebError("this run's network computes numbers that are not finite: train it again")
         return features.numpy(), steering_in(answers.numpy().astype(np.float64))
 
 

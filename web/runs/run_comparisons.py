@@ -13,8 +13,8 @@ from common.steering_unit import SteeringUnit, steering_unit
 from common.untrusted_json import json_as
 from model.evaluation.differences import MEASURES
 from model.runs.run_files import WEIGHTS
-from web.errors import WebError
 from web.folders.project_folders import ProjectFolders
+from web.jobs.job_forms import as_argument
 from web.jobs.jobs import Job
 
 _ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
@@ -23,9 +23,8 @@ _ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
 def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
     """The command line, for the held-out frames or for a session. Raises WebError for a name that looks like a
     flag."""
-    if flags := [name for name in (a.name, b.name, session) if name.startswith("-")]:
-        raise WebError(f"{flags[0]!r}: a command would take this name for a flag; rename it", 422)
-    words = ["bc-eval", "--compare", a.name, b.name, "--json", *(["--session", session] if session else [])]
+    words = ["bc-eval", "--compare", as_argument(a.name), as_argument(b.name), "--json"]
+    words += ["--session", as_argument(session)] if session else []
     return words + folders.flags("runs", "sessions")
 
 

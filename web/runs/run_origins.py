@@ -10,8 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+from common.untrusted import read_bounded
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+from model.runs.run_config import MAX_CONFIG_BYTES
 from model.runs.run_files import CONFIG
 from web.folders.file_versions import version_of
 
@@ -42,7 +44,7 @@ def index_checksum(index: Path) -> str:
 @lru_cache(maxsize=4096)
 def _origin(config: Path, version: str) -> RunOrigin:
     try:
-        data = json.loads(config.read_bytes()).get("data")
+        data = json.loads(read_bounded(config, MAX_CONFIG_BYTES)).get("data")
     except (OSError, ValueError, RecursionError, AttributeError):
         data = None
     if not isinstance(data, dict):

@@ -26,7 +26,7 @@ _LARGE_BYTES: Final = 256 << 10  # separate blocks, which go back as soon as the
 
 
 def give_memory_back() -> None:
-    """Set the process up so, before it has threads. Without glibc, only Arrow's pool is set."""
+    """Make this process give it back, before it has threads. Without glibc, this sets only Arrow's pool."""
     pa.set_memory_pool(pa.system_memory_pool())
     if (set_option := _c_function("mallopt")) is not None:
         set_option(_M_ARENA_MAX, _ARENAS)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from http.cookies import CookieError, SimpleCookie
 from typing import Final
 from urllib.parse import parse_qsl, quote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -138,7 +138,7 @@ class RequestGuard:
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and self._is_token(bearer.strip()):
             return None
-        if self._is_token(_cookie(headers)):
+        if self._is_token(cookie_parser(headers.get("cookie", "")).get(_COOKIE, "")):
             return None
         raise WebError("this workbench needs its token: open the address that bc-web printed at its start", 401)
 
@@ -146,21 +146,14 @@ class RequestGuard:
         return hmac.compare_digest(text.encode(), self._token.encode())
 
 
-def _cookie(headers: Headers) -> str:
-    try:
-        cookies = SimpleCookie(headers.get("cookie", ""))
-    except CookieError:
-        return ""
-    return cookies[_COOKIE].value if _COOKIE in cookies else ""
-
-
 def _check_size(scope: Scope) -> None:
     """Refuse a body that is too long, or has no length."""
     if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
         return  # the server limits the messages of a websocket
-    length = whole_number(Headers(scope=scope).get("content-length", ""))
-    if length is None:
-        raise WebError("a request with a body needs its length (Content-Length)", 411)
+    headers = Headers(scope=scope)
+    length = whole_number(headers.get("content-length", ""))
+    if length is None or "transfer-encoding" in headers:  # the server ignores the length of a body in chunks
+        raise WebError("a request with a body needs its length (Content-Length), and no Transfer-Encoding", 411)
     limit = MAX_UPLOAD_BYTES if scope["path"] == UPLOAD else MAX_BODY_BYTES
     if length > limit:
         raise WebError(f"a request of {length:,} bytes: at most {limit:,} are allowed", 413)

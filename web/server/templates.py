@@ -48,7 +48,7 @@ def _places(number: float | str | None, places: int) -> str:
 
 
 def with_code(text: str) -> Markup:
-    """A text in which the parts between backticks are code."""
+    """A text, escaped, in which the parts between backticks are code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 

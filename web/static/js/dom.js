@@ -16,9 +16,9 @@ export function button(text, onClick, properties = {}) {
   return made;
 }
 
-/** Show a problem; "" hides it. */
+/** Show a problem; "" hides it. The backticks around its commands are left out. */
 export function showProblem(text) {
-  by("problem").textContent = text;
+  by("problem").textContent = text.replaceAll("`", "");
   by("problem").hidden = !text;
 }
 

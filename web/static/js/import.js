@@ -68,7 +68,7 @@ async function filesIn(entry) {
   for (;;) {
     const entries = await read(reader); // a hundred at a time
     if (!entries.length) return files;
-    files.push(...(await Promise.all(entries.map(filesIn))).flat());
+    for (const file of (await Promise.all(entries.map(filesIn))).flat()) files.push(file);
   }
 }
 

@@ -14,7 +14,7 @@ let next = 0;
 let forgetting = 0;
 
 export function showStatus(text) {
-  status.textContent = text;
+  status.textContent = text.replaceAll("`", "");
   clearTimeout(forgetting);
   forgetting = setTimeout(() => (status.textContent = ""), STATUS_FOR_MS);
 }

@@ -55,7 +55,7 @@ function draw(heldOut) {
   positions = Array.from(steering.keys()).filter((at) => Number.isFinite(steering[at]) && Number.isFinite(predicted[at]));
   const isHeldOut = (at) => heldOut?.some(([first, last]) => first <= row[at] && row[at] <= last) ?? false;
   const colourOf = Uint8Array.from(positions, (at) => (!heldOut || isHeldOut(at) ? 1 : 0));
-  limit = Math.max(0.1, ...positions.flatMap((at) => [Math.abs(steering[at]), Math.abs(predicted[at])]).slice(0, 40000));
+  limit = positions.reduce((most, at) => Math.max(most, Math.abs(steering[at]), Math.abs(predicted[at])), 0.1);
   cloud.show(Float32Array.from(positions, (at) => steering[at]), Float32Array.from(positions, (at) => -predicted[at]));
   cloud.limit(-limit, limit, -limit, limit);
   cloud.colour(["--series-0", "--series-1"].map(colourReader(section)), colourOf);
@@ -88,7 +88,7 @@ function drawAxes(context, place, { width, height }) {
   context.fillStyle = colour("--dim");
   const [zeroX, zeroY] = place(0, 0);
   const unit = predictions.about.max_deg ?? 100;
-  const step = ROUND.find((units) => units * TICKS >= limit * unit) / unit;
+  const step = (ROUND.find((units) => units * TICKS >= limit * unit) ?? ROUND.at(-1)) / unit;
   for (let share = -step * TICKS; share <= limit; share += step) {
     if (Math.abs(share) < step / 2 || share < -limit) continue;
     const [x, y] = place(share, -share);

@@ -6,9 +6,9 @@ import { NO_ANSWER } from "../live.js";
 const GAP_S = 1; // as in recorder/rows/row_quality.py: after a longer pause, or where time goes back, a drive begins
 const POLL_MS = 2000;
 const WORK_POLL_MS = 400;
-const LOAD_SHARE = 5; // loading, which reads all of a growing log, may take a fifth of the time
+const LOAD_SHARE = 5; // loading, which reads all of a growing log, may take a sixth of the time
 
-export class Refused extends Error {}
+class Refused extends Error {}
 
 export async function ask(path, options) {
   const answer = await fetch(path, options);

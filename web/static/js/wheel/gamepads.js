@@ -11,7 +11,7 @@ const NOISE_MS = 1000;
 const finite = (value) => (Number.isFinite(value) ? Math.min(Math.max(value, -1), 1) : 0);
 
 /** A stick's steering: 0 within the dead zone, then by a curve to full lock. */
-export function shaped(value, deadZone, curve) {
+function shaped(value, deadZone, curve) {
   const beyond = Math.max(Math.abs(finite(value)) - deadZone, 0) / (1 - deadZone);
   return Math.sign(value) * beyond ** curve || 0;
 }
@@ -33,7 +33,6 @@ export class Gamepads {
     this.#settings = settings;
     this.#onProblem = onProblem;
   }
-
 
   get names() {
     return [...this.#pads.values()].map((pad) => pad.name);
