@@ -227,7 +227,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(sound(settings={"flip": False}), measured=TURNS),
             "0 % of the turns held out go right, and nothing is mirrored",
-            "bc-index --flip && bc-train",
+            "bc-index && bc-train",
         ),
         (numbers(measured=TURNS), "drive the road the other way round", "bc-record more --track random:2"),
         (
