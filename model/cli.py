@@ -208,7 +208,7 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
     missing = [name for name in ("step", "epoch", "close") if not callable(getattr(listener, name, None))]
     if missing:
         raise UserError(
-            f"--listener {printable(name)}: a listener was expected, with step, epoch and close; it has no"
+            f"--listener {printable(name)}: expected a listener with step, epoch and close; it has no"
             f" {' and no '.join(missing)}"
         )
     return listener

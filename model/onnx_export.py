@@ -77,8 +77,8 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
         difference = compare(part, network, picture, targets)
         if not difference < MAX_DIFFERENCE:  # also NaN
             raise RunError(
-                f"{path}: not written: the steering of ONNX Runtime and PyTorch differs by {difference:.1g}, less"
-                f" than {MAX_DIFFERENCE:g} was expected; its weights are huge or not finite: train it again"
+                f"{path}: not written: the steering of ONNX Runtime and PyTorch differs by {difference:.1g},"
+                f" expected less than {MAX_DIFFERENCE:g}; its weights are huge or not finite: train it again"
             )
     return difference
 

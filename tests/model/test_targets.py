@@ -433,5 +433,5 @@ def test_ones_own_network_is_told_how_many_answers_are_wanted(tmp_path: Path) ->
     asks = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Asks", targets=("steering",)))
     assert asks.try_out(asks.picture, torch.device("cpu")) == 3 * 128 * 128 + 1
     steers = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:One"))
-    with pytest.raises(RunError, match=r"one number for each and each target was expected, \(2, 3\)"):
+    with pytest.raises(RunError, match=r"expected one number for each and each target, \(2, 3\)"):
         steers.try_out(steers.picture, torch.device("cpu"))
