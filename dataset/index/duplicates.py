@@ -53,8 +53,8 @@ def shared_standing_rows(
     `frames`, `logs` and `extents` are the frames file, the log and the times of each session. Only sessions whose
     times overlap are compared: others cannot share pictures. Frames tagged `exclude` do not count.
 
-    Raises DatasetError if two sessions share a picture of a moving car, or more than `MAX_STANDING_SHARE` of a
-    session's frames of a standing car; SessionError if a log is damaged.
+    Raises DatasetError if two sessions share a picture of a moving car, or if a session shares more than
+    `MAX_STANDING_SHARE` of its frames; SessionError if a log is damaged.
     """
     names = _overlapping(extents)
     calls = [(frames[name],) for name in names]

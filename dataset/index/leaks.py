@@ -93,4 +93,4 @@ def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArr
     if apart_s[nearest] > gap_s or (gap_s == 0 and apart_s[nearest] > 0):
         return ""
     row = training[nearest]["row"]
-    return f"training row {row} is {apart_s[nearest]:.2f} s from validation, less than the gap of {gap_s:g} s"
+    return f"training row {row} is {apart_s[nearest]:.2f} s from validation, within the gap of {gap_s:g} s"

@@ -302,7 +302,7 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
         try:
             log = logs[session] = Log(place)
         except (LogError, OSError) as error:
-            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
+            raise DatasetError(f"{error} (session {session} of the index; `bc-index` leaves it out)") from None
         if log.file_fingerprint != sources[session].file:
             raise DatasetError(
                 f"{place}: has changed since it was indexed as session {session}; run `bc-index` again"

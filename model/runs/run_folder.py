@@ -285,4 +285,4 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:
-        raise RunError(f"{path}: {error}, so it is damaged; copy it again, or train the run again") from None
+        raise RunError(f"{path}: damaged: {error}; copy it again, or train the run again") from None

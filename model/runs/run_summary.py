@@ -117,7 +117,7 @@ def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[
         config = load_config(run)
         numbers = run_numbers(run, config, read_epochs(run), last_results(run), is_training=is_being_trained(run))
     except (OSError, ValueError) as error:
-        raise RunError(f"{run}: no verdict on it ({' '.join(str(error).split())})") from None
+        raise RunError(f"{run}: cannot be judged ({' '.join(str(error).split())})") from None
     return verdict_of(numbers if measured is None else numbers.of_rows(measured, sessions))
 
 

@@ -200,7 +200,7 @@ def test_training_within_the_gap_is_a_leak(tmp_path: Path) -> None:
         pq.write_table(pa.Table.from_pylist([*rows, extra], samples.schema), index / "samples.parquet")
         [leak] = find_leaks(index)
         assert f"training row {row} is " in leak
-        assert "s from validation, less than the gap of 1 s" in leak
+        assert "s from validation, within the gap of 1 s" in leak
 
 
 def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:
