@@ -40,7 +40,7 @@ def find_leaks(index: Path | str) -> list[str]:
         raise DatasetError(f"{path}: no index, or a damaged index; build it with `bc-index`")
     try:
         return _leaks_in(path, index, float(metadata["settings"]["gap_s"]))
-    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+    except (OSError, LookupError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
 
 

@@ -154,7 +154,8 @@ class Samples(Closeable):
     def max_steering_deg(self) -> float | None:
         """The angle of the front wheels at steering 1, in degrees; None if it is unknown in a session. Raises
         DatasetError if the sessions have different angles."""
-        angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
+        with self._readable():
+            angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
         if None in angles_deg:
             return None
         degrees = angles_deg.pop() if len(angles_deg) == 1 else None
