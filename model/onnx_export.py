@@ -250,11 +250,12 @@ def _largest_difference_of_camera(
 @contextmanager
 def _without_log() -> Iterator[None]:
     """Disable logging: if the export fails, PyTorch logs whole graphs to stderr."""
+    before = logging.root.manager.disable
     logging.disable()
     try:
         yield
     finally:
-        logging.disable(logging.NOTSET)
+        logging.disable(before)
 
 
 def _cause(error: BaseException) -> BaseException:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import shutil
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from exports import export
 from model import RunError, load_pilot
 from model.cli import main
-from model.onnx_export import export_onnx
+from model.onnx_export import _without_log, export_onnx
 from model.runs.run_folder import save_weights
 from repository import ROOT
 from udacity import call, encode
@@ -102,6 +103,16 @@ for name in sys.argv[2:]:
     crops.append(cv2.resize(picture[top : len(picture) - bottom], size, interpolation=cv2.INTER_LINEAR))
 print(*network.run(["steering"], {"pictures": numpy.stack(crops)})[0])
 """
+
+
+def test_logging_stays_as_it_was_set() -> None:
+    logging.disable(logging.WARNING)
+    try:
+        with _without_log():
+            assert logging.root.manager.disable == logging.CRITICAL
+        assert logging.root.manager.disable == logging.WARNING
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def test_it_steers_as_the_pilot_does_where_nothing_else_is_installed(
