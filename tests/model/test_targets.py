@@ -400,8 +400,8 @@ def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, 
         ({"targets": ("steering", "steering")}, "--targets steering steering: expected steering first"),
         ({"targets": ()}, r"--targets \(none\): expected steering first"),
         ({"targets": ("steering", "speed"), "target_weights": (1.0,)}, "one for each of steering, speed"),
-        ({"target_weights": (math.nan,)}, "--target-weights: numbers of 0 or more"),
-        ({"target_weights": (0.0,)}, "--target-weights: numbers of 0 or more, not all 0"),
+        ({"target_weights": (math.nan,)}, "--target-weights: expected numbers of 0 or more"),
+        ({"target_weights": (0.0,)}, "--target-weights: expected numbers of 0 or more, not all 0"),
     ],
 )
 def test_what_makes_no_sense_is_refused(settings: dict[str, tuple[object, ...]], why: str) -> None:
