@@ -70,7 +70,6 @@ from recorder.rows.label_plan import NOT_MEASURED
 _Contents = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """The balance, and the counts and labels of each session."""
 
-
 MAX_NAMES: Final = 8
 
 

@@ -36,7 +36,6 @@ from recorder.rows.row_quality import STANDING_MPH
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
-
 MAX_STANDING_SHARE: Final = 0.25
 """The maximum share of a session's frames that may have a standing car and a picture that another session has.
 With a larger share, the session is a duplicate."""
