@@ -20,13 +20,15 @@ import msgspec
 
 from common.errors import UserError
 from common.files import atomic_file
-from common.location import Location, Url, absolute, location
+from common.location import Location, Url, absolute, is_in_store, location
 from common.untrusted import read_bounded, real_path
 from common.untrusted_json import json_as
 from common.users_cache import users_cache
 
 FOLDER: Final = "built-here"
 _MAX_RECORD_BYTES: Final = 1 << 22
+MAX_RECORDS: Final = 1_000
+"""With more, the records of indexes and runs that do not exist any more are removed."""
 _BY_DEFAULT: Final = (Path("sessions"), Path("drives"))
 
 _named: list[Location] = []
@@ -98,8 +100,18 @@ def remember_places(holder: Location, project: Location, folders: Iterable[Locat
     path = _record_path(record.holder)
     if _record_in(path) == record:
         return
-    with contextlib.suppress(OSError, UserError), atomic_file(path, overwrite=True) as part:
-        part.write_bytes(msgspec.json.encode(record))
+    with contextlib.suppress(OSError, UserError):
+        with atomic_file(path, overwrite=True) as part:
+            part.write_bytes(msgspec.json.encode(record))
+        _forget_removed(path.parent)
+
+
+def _forget_removed(folder: Path) -> None:
+    paths = list(folder.glob("*.json"))
+    for path in paths if len(paths) > MAX_RECORDS else ():
+        record = _record_in(path)
+        if record is None or not (is_in_store(record.holder) or Path(record.holder).exists()):
+            path.unlink(missing_ok=True)
 
 
 def folders_of(files: Iterable[Location]) -> set[Location]:

@@ -130,9 +130,12 @@ class BackgroundSync:
         self._wanted.set()
 
     def close(self) -> None:
+        """Raises OSError if a flush failed: the system reports a lost write only once, to that flush."""
         self._is_closing = True
         self._wanted.set()
         self._thread.join()
+        if self._error is not None:
+            raise self._error
 
     def _run(self) -> None:
         try:

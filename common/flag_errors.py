@@ -92,14 +92,14 @@ def _names_of(kind: Any) -> Iterator[str]:
             yield from _names_of(variant.__origin__)
         return
     hints = get_type_hints(kind, include_extras=True)
-    for name in (flag.name for flag in dataclasses.fields(kind)):
-        notes = getattr(hints[name], "__metadata__", ())
-        inner = getattr(hints[name], "__origin__", hints[name])
+    for flag in dataclasses.fields(kind):
+        notes = getattr(hints[flag.name], "__metadata__", ())
+        inner = getattr(hints[flag.name], "__origin__", hints[flag.name])
         if dataclasses.is_dataclass(inner):
             yield from _names_of(inner)
         elif tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
-            flag_name = next((note.name for note in notes if getattr(note, "name", None)), name)
-            yield f"--{flag_name.replace('_', '-')}"
+            name = next((note.name for note in notes if getattr(note, "name", None)), flag.name)
+            yield f"--{'no-' * (flag.default is True)}{name.replace('_', '-')}"
 
 
 def _name_of(argument: Any) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, TypeAlias
-from urllib.parse import unquote, urlsplit
+from urllib.parse import urlsplit
 
 from common.errors import UsageError, UserError
 from common.untrusted import real_path
@@ -94,7 +94,9 @@ def location(text: str | Location) -> Location:
         return Path(text)
     scheme, rest = match[1].lower(), match[2]
     if scheme == "file":
-        return Path(unquote(urlsplit(text).path))
+        from urllib.request import url2pathname  # slow to import: it imports email and sockets
+
+        return Path(url2pathname(urlsplit(text).path))
     if scheme not in SCHEMES:
         kinds = ", ".join(f"{name}://" for name in SCHEMES)
         raise UsageError(f"{text}: not a path, nor a URL that begins with {kinds} or file://")

@@ -4,6 +4,7 @@ dies."""
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import IO, Final
 
@@ -14,15 +15,17 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-# Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked
 _BEYOND_END: Final = 1 << 60
+"""Windows: locked bytes cannot be read, so a byte beyond the end of every file is locked."""
+_POLL_S: Final = 0.1
 
 
 def lock(stream: IO[bytes]) -> None:
     """Wait for the lock of an open file, and keep it until the file is closed. Raises OSError if the file system
     has no locks."""
     if sys.platform == "win32":
-        _lock_beyond_end(stream, msvcrt.LK_LOCK)
+        while not try_lock(stream):  # msvcrt itself gives up after ten seconds
+            time.sleep(_POLL_S)
     else:
         fcntl.flock(stream, fcntl.LOCK_EX)
 

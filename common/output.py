@@ -7,6 +7,7 @@ user can type them in this shell.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
@@ -62,10 +63,12 @@ def print_next(command: str, why: str = "") -> None:
 
 
 def ask(question: str) -> bool | None:
-    """Ask a yes-or-no question at the terminal; None without a terminal. Enter alone means no."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+    """Ask a yes-or-no question at the terminal; None without a terminal. Enter alone and Ctrl-D mean no."""
+    if sys.stdin is None or not (sys.stdin.isatty() and sys.stderr.isatty()):  # None: closed from the start
         return None
-    return Confirm.ask(escape(safe_line(question)), default=False, console=message_console())
+    with contextlib.suppress(EOFError):
+        return Confirm.ask(escape(safe_line(question)), default=False, console=message_console())
+    return False
 
 
 def print_table(*parts: RenderableType) -> None:

@@ -77,8 +77,9 @@ def address_of(flag: Sequence[str]) -> str:
 
 
 @contextlib.contextmanager
-def cluster_tasks(address: str = "") -> Iterator[Tasks]:
-    """Connect to a cluster, and yield the function that makes calls on the cluster.
+def cluster_tasks(address: str = "", gpus: int = 0) -> Iterator[Tasks]:
+    """Connect to a cluster, and yield the function that makes calls on the cluster. Each call has `gpus` GPUs
+    to itself.
 
     `address` is one of
 
@@ -87,10 +88,12 @@ def cluster_tasks(address: str = "") -> Iterator[Tasks]:
     - "local": start a cluster on this machine alone
     - "": RAY_ADDRESS, else "auto", else "local"
 
-    Raises ClusterError if no cluster answers, or if the nodes have other versions of `SAME_VERSIONS`.
+    Raises ClusterError if no cluster answers, if the nodes have other versions of `SAME_VERSIONS`, or lack GPUs.
     """
     with _connection(address) as ray:
-        yield partial(_results, ray)
+        if gpus > ray.cluster_resources().get("GPU", 0):  # Ray would wait for ever
+            raise ClusterError(f"--ray {address or 'auto'}: no node of the cluster has a GPU; give --device cpu")
+        yield partial(_results, ray, gpus)
 
 
 @contextlib.contextmanager
@@ -188,10 +191,10 @@ def _why_not(address: str, error: str) -> str:
 
 
 def _results(
-    ray: Any, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
+    ray: Any, gpus: int, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Result]]:
     name = function.__name__.strip("_")
-    call = ray.remote(_call).options(num_cpus=1, max_retries=MAX_RETRIES, name=name)
+    call = ray.remote(_call).options(num_cpus=1, num_gpus=gpus, max_retries=MAX_RETRIES, name=name)
     versions, folder = package_versions(), Path.cwd()
     size = -(-len(calls) // _MAX_TASKS)
     firsts: dict[Any, int] = {}  # for each running task: the number of its first call

@@ -15,11 +15,12 @@ RayAddress = Annotated[
 """The flag `--ray [ADDRESS]`: None without the flag, empty without an address."""
 
 
-def tasks_of(ray: RayAddress) -> contextlib.AbstractContextManager[Tasks]:
-    """A context manager that yields the `Tasks` that `--ray` chooses. Raises UsageError for an invalid address,
-    ClusterError if no cluster can be reached."""
+def tasks_of(ray: RayAddress, gpus: int = 0) -> contextlib.AbstractContextManager[Tasks]:
+    """A context manager that yields the `Tasks` that `--ray` chooses; on a cluster, each call has `gpus` GPUs to
+    itself. Raises UsageError for an invalid address, ClusterError if no cluster can be reached, or if it has no
+    GPU."""
     if ray is None:
         return contextlib.nullcontext(one_by_one)
     from common.ray_cluster import address_of, cluster_tasks
 
-    return cluster_tasks(address_of(ray))
+    return cluster_tasks(address_of(ray), gpus)

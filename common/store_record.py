@@ -12,10 +12,12 @@ from typing import Final
 import msgspec
 
 from common.files import atomic_file
+from common.untrusted import read_bounded
 from common.untrusted_json import json_as
 from common.users_cache import users_cache
 
 RECORD_NAME: Final = ".store.json"
+MAX_RECORD_BYTES: Final = 1 << 28
 
 
 class Copy(msgspec.Struct, frozen=True):
@@ -38,9 +40,11 @@ class StoreRecord(msgspec.Struct, frozen=True):
 
 
 def read_record(folder: Path) -> StoreRecord:
-    """The record of a local folder; an empty record if the folder is not a copy."""
-    path = folder / RECORD_NAME
-    return record_of(path.read_bytes() if path.is_file() else b"")
+    """The record of a local folder; an empty record if the folder is not a copy, or the record is too large."""
+    try:
+        return record_of(read_bounded(folder / RECORD_NAME, MAX_RECORD_BYTES))
+    except OSError:
+        return StoreRecord()
 
 
 def cached_from(folder: Path) -> str:

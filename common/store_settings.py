@@ -61,7 +61,7 @@ def _s3_settings() -> dict[str, Any]:
 def _aws_profile() -> dict[str, str]:
     """The settings of the profile AWS_PROFILE in ~/.aws/config and ~/.aws/credentials."""
     name = os.environ.get("AWS_PROFILE", "default")
-    home = Path.home() / ".aws"
+    home = Path(os.path.expanduser("~/.aws"))  # noqa: PTH111 - Path.home raises without a home
     files = (
         (os.environ.get("AWS_CONFIG_FILE", home / "config"), name if name == "default" else f"profile {name}"),
         (os.environ.get("AWS_SHARED_CREDENTIALS_FILE", home / "credentials"), name),

@@ -33,6 +33,7 @@ from common.object_store import (
 )
 from common.progress import progress_task
 from common.store_record import (
+    MAX_RECORD_BYTES,
     RECORD_NAME,
     Copy,
     StoreRecord,
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 _LOCK: Final = ".store.lock"
-_MAX_BYTES: Final = 1 << 28
 _AT_ONCE: Final = 8  # files
 _MAX_WRITERS: Final = 20  # machines that append lines to one file at the same time
 
@@ -110,7 +110,7 @@ class StoredFolder(Closeable):
         recorded: Mapping[str, Copy] = {**self._copies, **self._record.left}
         record_version = "" if record is None else record.version
         if differ and record is not None and record.version != self._record.record_version:
-            recorded = record_of(read_object(record.url, _MAX_BYTES) or b"").files
+            recorded = record_of(read_object(record.url, MAX_RECORD_BYTES) or b"").files
         elif not differ:
             record_version = self._record.record_version
         downloads = [name for name in differ if wanted is None or name in wanted]
@@ -191,7 +191,7 @@ class StoredFolder(Closeable):
 
     def _put_record(self, changed: Sequence[str], removed: Sequence[str]) -> None:
         """Write the uploaded files into the store's record; the entries of other machines stay."""
-        recorded = record_of(read_object(self.url / RECORD_NAME, _MAX_BYTES) or b"").files
+        recorded = record_of(read_object(self.url / RECORD_NAME, MAX_RECORD_BYTES) or b"").files
         uploaded = {name: self._copies[name] for name in changed}
         copies = {**self._copies, **self._record.left, **recorded, **uploaded}
         files = {name: copy for name, copy in copies.items() if name not in removed}

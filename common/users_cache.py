@@ -7,12 +7,13 @@ import os
 import sys
 from pathlib import Path
 
+from common.errors import UserError
 from common.location import Url
 
 
 def users_cache() -> Path:
     """`BC_CACHE`, else `behavioural-cloning-toolkit` in the system's folder of caches (`XDG_CACHE_HOME`,
-    ~/.cache)."""
+    ~/.cache). Raises UserError for a user without a home folder."""
     if cache := os.environ.get("BC_CACHE"):
         return Path(cache)
     if xdg_cache := os.environ.get("XDG_CACHE_HOME"):
@@ -20,7 +21,10 @@ def users_cache() -> Path:
     elif sys.platform == "win32":
         caches = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     else:
-        caches = Path.home() / ".cache"
+        try:
+            caches = Path.home() / ".cache"
+        except RuntimeError:
+            raise UserError("no home folder for the cache: set BC_CACHE to a folder") from None
     return caches / "behavioural-cloning-toolkit"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pyarrow.compute as pc
 
 from common.command import FAILED, usage_errors, warn
-from common.errors import UsageError, counted, printable
+from common.errors import UsageError, counted, first_of
 from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
 from common.ray_flag import tasks_of
@@ -56,9 +56,9 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     for notice in _one_sided(indexed, config):
         code = warn(notice)
     if others:  # training does not report them again
-        names = ", ".join(map(printable, others))
         print_message(
-            f"{config.index}: does not hold {names}; `bc-index` without names indexes all of {config.folder}"
+            f"{config.index}: does not hold {first_of(others)}; `bc-index` without names indexes all of"
+            f" {config.folder}"
         )
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))

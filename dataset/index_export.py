@@ -30,7 +30,7 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
     label. `options` are those of `export_lerobot`.
 
     Raises DatasetError if the index is missing, does not fit its logs, or the condition is wrong; LogError if
-    nothing can be exported; UserError if `folder` exists or cannot be written.
+    nothing can be exported; UserError if no row is used, or if `folder` exists or cannot be written.
     """
     with Samples(index) as samples:
         chosen = _chosen_rows(index, samples, where)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from common import UserError
 from common.allowed_places import allow_places
 from common.command import DONE, run_command, warn, warn_skipped
-from common.errors import counted, printable
+from common.errors import counted, first_of, printable
 from common.files import refuse_existing
 from common.location import Location, Url, absolute, is_in_store, local_path, location
 from common.named_function import in_one_line, load_function
@@ -208,7 +208,7 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
     missing = [name for name in ("step", "epoch", "close") if not callable(getattr(listener, name, None))]
     if missing:
         raise UserError(
-            f"--listener {printable(name)}: a listener was expected, with step, epoch and close; it has no"
+            f"--listener {printable(name)}: expected a listener with step, epoch and close; it has no"
             f" {' and no '.join(missing)}"
         )
     return listener
@@ -269,7 +269,7 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
             print_message(line)
     if is_current_index and (absent := sessions_not_indexed(local_path(config.index), config.sessions)):
         print_message(
-            f"{config.index}: does not hold {', '.join(absent)}; `bc-index` takes in all of {config.sessions}"
+            f"{config.index}: does not hold {first_of(absent)}; `bc-index` takes in all of {config.sessions}"
         )
     return config.index, DONE
 

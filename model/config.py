@@ -107,33 +107,33 @@ class TrainConfig:
             value = getattr(self, name)
             if not minimum <= value <= maximum:
                 flag = name.replace("_", "-")
-                raise ValueError(f"--{flag} {value}: a whole number from {minimum:,} to {maximum:,} was expected")
+                raise ValueError(f"--{flag} {value}: expected a whole number from {minimum:,} to {maximum:,}")
         check_network_name(self.network)
         if bad := [argument for argument in self.network_args if not argument.partition("=")[0].isidentifier()]:
-            raise ValueError(f"--network-args {bad[0]}: NAME=VALUE was expected")
+            raise ValueError(f"--network-args {bad[0]}: expected NAME=VALUE")
         try:
             check_targets(self.targets)
         except ValueError as error:
             raise ValueError(f"--{error}") from None
         if self.target_weights and len(self.target_weights) != len(self.targets):
             raise ValueError(
-                f"--target-weights {' '.join(f'{weight:g}' for weight in self.target_weights)}: one for each of"
-                f" {', '.join(self.targets)} was expected"
+                f"--target-weights {' '.join(f'{weight:g}' for weight in self.target_weights)}: expected one for"
+                f" each of {', '.join(self.targets)}"
             )
         weights = self.target_weights or (1,)
         if not all(0 <= weight < math.inf for weight in weights) or sum(weights) <= 0:
-            raise ValueError("--target-weights: numbers of 0 or more, not all 0, were expected")
+            raise ValueError("--target-weights: expected numbers of 0 or more, not all 0")
         if self.keep == "last" and self.patience:
             raise ValueError(
                 f"--patience {self.patience}: cannot be used with --keep last, which always prefers the last epoch"
             )
         names = self.alter_each_epoch
         if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):
-            raise ValueError(f"--alter-each-epoch {' '.join(names)}: give each once, or only all or none")
+            raise ValueError(f"--alter-each-epoch {' '.join(names)}: expected each once, or only all or none")
         if not 0 < self.rate < math.inf:
-            raise ValueError(f"--rate {self.rate:g}: a number above 0 was expected")
+            raise ValueError(f"--rate {self.rate:g}: expected a number above 0")
         if not 0 <= self.dropout < 1:
-            raise ValueError(f"--dropout {self.dropout:g}: a number from 0 to 1 (excluded) was expected")
+            raise ValueError(f"--dropout {self.dropout:g}: expected a number from 0 to 1 (excluded)")
 
     @property
     def epoch_alterations(self) -> tuple[EpochAlteration, ...]:

@@ -53,7 +53,7 @@ class HubFolder:
 def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = None) -> HubFolder:
     """Write a run as the new folder `folder`, which appears whole or not at all. Uploads nothing.
 
-    If ONNX cannot represent the network, the ONNX file is missing; the card and `onnx_problem` give the reason.
+    If the network cannot be written as ONNX, the ONNX file is missing, and `onnx_problem` is the reason.
     Raises RunError if the run is incomplete, damaged, of another version, or of a user's own network that was not
     named (`load_code`), if ONNX is not installed, or if the disk is full; UserError if `folder` exists.
     """

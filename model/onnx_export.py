@@ -77,8 +77,8 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
         difference = compare(part, network, picture, targets)
         if not difference < MAX_DIFFERENCE:  # also NaN
             raise RunError(
-                f"{path}: not written: the steering of ONNX Runtime and PyTorch differs by {difference:.1g}, less"
-                f" than {MAX_DIFFERENCE:g} was expected; its weights are huge or not finite: train it again"
+                f"{path}: not written: the steering of ONNX Runtime and PyTorch differs by {difference:.1g},"
+                f" expected less than {MAX_DIFFERENCE:g}; its weights are huge or not finite: train it again"
             )
     return difference
 
@@ -250,11 +250,12 @@ def _largest_difference_of_camera(
 @contextmanager
 def _without_log() -> Iterator[None]:
     """Disable logging: if the export fails, PyTorch logs whole graphs to stderr."""
+    before = logging.root.manager.disable
     logging.disable()
     try:
         yield
     finally:
-        logging.disable(logging.NOTSET)
+        logging.disable(before)
 
 
 def _cause(error: BaseException) -> BaseException:

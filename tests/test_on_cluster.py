@@ -207,6 +207,26 @@ def test_calls_in_shared_tasks_have_their_results_and_one_error(cluster: Any) ->
     assert halves == {number: number for number in range(4_001)}
 
 
+def test_calls_for_a_gpu_have_one_each_or_are_refused(cluster: Any) -> None:
+    def assigned_gpus() -> list[str]:
+        import ray
+
+        ids: list[str] = ray.get_runtime_context().get_accelerator_ids()["GPU"]
+        return ids
+
+    no_gpu = pytest.raises(ClusterError, match="no node of the cluster has a GPU; give --device cpu")
+    with no_gpu, cluster_tasks(cluster.address, gpus=1):
+        pass
+    node = cluster.add_node(num_cpus=2, num_gpus=1, include_dashboard=False)
+    try:
+        with cluster_tasks(cluster.address, gpus=1) as tasks:
+            assert dict(tasks(assigned_gpus, [(), ()])) == {0: ["0"], 1: ["0"]}
+        with cluster_tasks(cluster.address) as tasks:
+            assert dict(tasks(assigned_gpus, [()])) == {0: []}
+    finally:
+        cluster.remove_node(node)
+
+
 @pytest.mark.long
 def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
     drives(tmp_path / "sessions", sessions=2)

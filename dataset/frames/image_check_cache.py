@@ -26,6 +26,7 @@ from common.location import Location
 from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
+from common.untrusted import read_bounded
 from dataset.errors import index_write_errors, log_problem
 from dataset.frames.frame_flags import ImageFindings, Stretches
 from recorder import Log, LogError
@@ -137,9 +138,9 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
     """The results for the log with this fingerprint; None if their file is missing, damaged or of another log."""
     path = image_check_path(index, session)
     try:
-        if path.is_symlink() or path.stat().st_size > _MAX_BYTES:
+        if path.is_symlink():
             return None
-        stored = json.loads(path.read_bytes())
+        stored = json.loads(read_bounded(path, _MAX_BYTES))
         findings = msgspec.convert(stored, ImageFindings)
     except (OSError, ValueError, RecursionError):
         return None

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 
 from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
-from common.errors import counted
+from common.errors import counted, first_of
 from common.location import Location, location, relative_to
 from common.progress import track
 from common.steering_unit import assumed_deg
@@ -69,7 +69,6 @@ from recorder.rows.label_plan import NOT_MEASURED
 
 _Contents = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """The balance, and the counts and labels of each session."""
-
 
 MAX_NAMES: Final = 8
 
@@ -151,7 +150,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     """
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
-        raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {', '.join(names)}")
+        raise DatasetError(f"--validation {' '.join(sorted(missing))}: no such session among {first_of(names)}")
     refuse_file(index)
     if kind := other_folder(index):
         raise DatasetError(f"{index}: {kind}; an index needs its own folder: give --index another name")

@@ -15,12 +15,14 @@ import msgspec
 from common import atomic_file
 from common.car import MAX_STEERING_DEG
 from common.location import Location, Url
+from common.untrusted import read_bounded
 from dataset.frames.image_check_cache import image_check_path
 from recorder.log.tags import tags_path
 from recorder.rows.steering_habits import LagFinding
 
 FRAMES_FOLDER: Final = "frames"
 STATE_NAME: Final = "state.json"
+_MAX_BYTES: Final = 1 << 29  # a log takes about 1 KB
 
 Stat = tuple[int, int | str] | None
 """Size and time of modification (ns) of a file, or size and ETag of an object; None if it does not exist."""
@@ -101,7 +103,8 @@ def stat_of(path: Location) -> Stat:
 def read_state(index: Path) -> BuildState:
     """The state of the last build; an empty state if the file is missing, damaged, or of an older version."""
     try:
-        stored = json.loads((index / STATE_NAME).read_bytes())  # msgspec.json rejects names that are not UTF-8
+        # not msgspec.json, which rejects names that are not UTF-8
+        stored = json.loads(read_bounded(index / STATE_NAME, _MAX_BYTES))
         return msgspec.convert(stored, BuildState)
     except (OSError, ValueError, RecursionError):
         return BuildState.nothing()

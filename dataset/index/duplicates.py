@@ -36,7 +36,6 @@ from recorder.rows.row_quality import STANDING_MPH
 
 _PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
 
-
 MAX_STANDING_SHARE: Final = 0.25
 """The maximum share of a session's frames that may have a standing car and a picture that another session has.
 With a larger share, the session is a duplicate."""
@@ -53,8 +52,8 @@ def shared_standing_rows(
     `frames`, `logs` and `extents` are the frames file, the log and the times of each session. Only sessions whose
     times overlap are compared: others cannot share pictures. Frames tagged `exclude` do not count.
 
-    Raises DatasetError if two sessions share a picture of a moving car, or more than `MAX_STANDING_SHARE` of a
-    session's frames of a standing car; SessionError if a log is damaged.
+    Raises DatasetError if two sessions share a picture of a moving car, or if a session shares more than
+    `MAX_STANDING_SHARE` of its frames; SessionError if a log is damaged.
     """
     names = _overlapping(extents)
     calls = [(frames[name],) for name in names]

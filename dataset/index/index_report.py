@@ -22,8 +22,8 @@ MAX_BINS = 101  # with more bins, no line for each bin is printed
 
 
 def sessions_table(indexed: Indexed) -> Table:
-    """The number of frames of each session by their use. The last three columns appear only if they have
-    counts."""
+    """The number of frames of each session by their use. Frames not taken over, without a label, or not driven
+    have a column only if there are any."""
     has_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
     has_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
     has_odd = any(counts.not_driven for counts in indexed.counts.values())

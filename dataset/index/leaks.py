@@ -40,7 +40,7 @@ def find_leaks(index: Path | str) -> list[str]:
         raise DatasetError(f"{path}: no index, or a damaged index; build it with `bc-index`")
     try:
         return _leaks_in(path, index, float(metadata["settings"]["gap_s"]))
-    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+    except (OSError, LookupError, TypeError, ValueError, pa.ArrowException) as error:
         raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
 
 
@@ -93,4 +93,4 @@ def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArr
     if apart_s[nearest] > gap_s or (gap_s == 0 and apart_s[nearest] > 0):
         return ""
     row = training[nearest]["row"]
-    return f"training row {row} is {apart_s[nearest]:.2f} s from validation, less than the gap of {gap_s:g} s"
+    return f"training row {row} is {apart_s[nearest]:.2f} s from validation, within the gap of {gap_s:g} s"

@@ -154,7 +154,8 @@ class Samples(Closeable):
     def max_steering_deg(self) -> float | None:
         """The angle of the front wheels at steering 1, in degrees; None if it is unknown in a session. Raises
         DatasetError if the sessions have different angles."""
-        angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
+        with self._readable():
+            angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
         if None in angles_deg:
             return None
         degrees = angles_deg.pop() if len(angles_deg) == 1 else None
@@ -302,7 +303,7 @@ def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, L
         try:
             log = logs[session] = Log(place)
         except (LogError, OSError) as error:
-            raise DatasetError(f"{error} (session {session} of the index; without it: `bc-index`)") from None
+            raise DatasetError(f"{error} (session {session} of the index; `bc-index` leaves it out)") from None
         if log.file_fingerprint != sources[session].file:
             raise DatasetError(
                 f"{place}: has changed since it was indexed as session {session}; run `bc-index` again"

@@ -279,7 +279,7 @@ def _driven_on_cluster(
 ) -> Iterator[tuple[int, DriveResult]]:
     from drive.evaluation.closed_loop import drive_runs
 
-    with tasks_of(config.ray) as tasks:
+    with tasks_of(config.ray, gpus=int(config.device == "cuda")) as tasks:
         results = drive_runs(
             runs,
             drives,

@@ -60,8 +60,8 @@ class Evaluation:
     begins_ns: dict[str, int]  # log time of the first message, by session
     trained_on: int | None  # frames that the run was trained on; None if its config does not record it
     skipped: Skipped  # pictures that do not decode
-    notices: tuple[str, ...] = ()  # unfinished logs, logs without a measured frame; the same for all runs
-    remarks: tuple[str, ...] = ()  # logs in which damage cannot be detected
+    notices: tuple[str, ...] = ()  # unfinished logs, logs and targets that are not measured; the same for all runs
+    remarks: tuple[str, ...] = ()  # logs in which damage cannot be detected, or that are slow to read from a store
     answers: AnswerScale = field(default_factory=AnswerScale)  # applied to the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers and the frames have
     max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown

@@ -60,7 +60,7 @@ class NetworkChoice:
         """The network's default picture. Raises RunError if its `PICTURE` is not a PictureSpec."""
         picture = getattr(self.make, "PICTURE", ORIGINAL)
         if not isinstance(picture, PictureSpec):
-            raise RunError(f"{self._label}: its PICTURE is a {type(picture).__name__}: a PictureSpec was expected")
+            raise RunError(f"{self._label}: its PICTURE is a {type(picture).__name__}, expected a PictureSpec")
         return picture
 
     def build(self) -> PictureNetwork:
@@ -76,7 +76,7 @@ class NetworkChoice:
             arguments = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
             raise RunError(f"{self._label}({printable(arguments)}) fails ({_why(error)})") from None
         if not isinstance(made, nn.Module):
-            raise RunError(f"{self._label} returns a {type(made).__name__}: a torch.nn.Module was expected")
+            raise RunError(f"{self._label} returns a {type(made).__name__}, expected a torch.nn.Module")
         network = made if isinstance(made, PictureNetwork) else OwnNetwork(made)
         network.outputs = self.outputs
         return network

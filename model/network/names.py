@@ -13,7 +13,6 @@ BUILT_IN: Final = {
     "small": "model.network.small:SmallNetwork",
     "resnet18": "model.network.resnet18:ResNet18",
 }
-EXPECTED: Final = f"{', '.join(BUILT_IN)}, FILE.py:CLASS or package.module:CLASS was expected"
 
 _MODULE: Final = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
 _CLASS: Final = re.compile(r"[^\W\d]\w*")
@@ -26,7 +25,8 @@ def check_network_name(name: str) -> None:
     place, _, kind = name.rpartition(":")
     if not _CLASS.fullmatch(kind) or not (is_file(name) or _MODULE.fullmatch(place)):
         meant = did_you_mean(name, list(BUILT_IN))
-        raise ValueError(f"--network {printable(name)}: {EXPECTED}{f'; {meant}' if meant else ''}")
+        expected = f"{', '.join(BUILT_IN)}, FILE.py:CLASS or package.module:CLASS"
+        raise ValueError(f"--network {printable(name)}: expected {expected}{f'; {meant}' if meant else ''}")
 
 
 def is_own(name: str) -> bool:

@@ -75,9 +75,9 @@ def targets_of(answers: Tensor, pictures: int, outputs: int = 1) -> Tensor:
     shape = tuple(answers.shape) if isinstance(answers, Tensor) else type(answers).__name__
     kind = f" of {answers.dtype}" if isinstance(answers, Tensor) else ""
     if outputs == 1:
-        expected = f"one number for each was expected, ({pictures}, 1) or ({pictures},)"
+        expected = f"expected one number for each, ({pictures}, 1) or ({pictures},)"
     else:
-        expected = f"one number for each and each target was expected, ({pictures}, {outputs})"
+        expected = f"expected one number for each and each target, ({pictures}, {outputs})"
     raise RunError(f"the network answers {shape}{kind} to {counted(pictures, 'picture')}: {expected}")
 
 

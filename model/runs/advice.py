@@ -173,7 +173,7 @@ def has_one_side(numbers: RunNumbers) -> Advice | None:
     side, share = "left" if left < right else "right", min(left, right) / (left + right)
     one_sided = f"{100 * share:.0f} % of the turns held out go {side}"
     if not numbers.data.settings.flip:
-        return Advice(f"{one_sided}, and nothing is mirrored", _index(numbers, "--flip"))
+        return Advice(f"{one_sided}, and nothing is mirrored", _index(numbers))
     return Advice(f"{one_sided}: drive the road the other way round, too", _record(numbers))
 
 
@@ -184,7 +184,7 @@ def has_one_camera(numbers: RunNumbers) -> Advice | None:
     has_others = not rows or frames > 1.5 * rows
     if not has_others or set(numbers.data.settings.cameras) != {"center"}:
         return None
-    return Advice("the side cameras are left out", _index(numbers, "--cameras center left right"))
+    return Advice("the side cameras are left out", _index(numbers, " --cameras center left right"))
 
 
 def nothing_stands_out(numbers: RunNumbers) -> Advice:
@@ -244,6 +244,6 @@ def _record(numbers: RunNumbers) -> str:
     return f"bc-record {name} --from {'~/mycar/data' if numbers.is_donkeycar else '~/recording'}"
 
 
-def _index(numbers: RunNumbers, flags: str) -> str:
+def _index(numbers: RunNumbers, flags: str = "") -> str:
     place = f"{numbers.sessions_flag}{numbers.index_flag}"
-    return f"bc-index{place} {flags} && bc-train{numbers.index_flag}"
+    return f"bc-index{place}{flags} && bc-train{numbers.index_flag}"

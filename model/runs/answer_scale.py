@@ -66,7 +66,7 @@ class AnswerScale:
         """Raises ValueError for numbers beyond the bounds."""
         is_inside = MIN_SCALE <= self.scale <= MAX_SCALE and 0 <= self.curve <= MAX_CURVE
         if not (is_inside and abs(self.offset) <= MAX_OFFSET):
-            raise ValueError(f"an answer scale of {self.scale:g}, {self.curve:g} and {self.offset:g}")
+            raise ValueError(f"answer scale {self.scale:g}, {self.curve:g}, {self.offset:g}: out of bounds")
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> AnswerScale:
@@ -82,8 +82,8 @@ class AnswerScale:
         return {_PREFIX + name: repr(value) for name, value in asdict(self).items()}
 
     def in_words(self, max_deg: float | None) -> str:
-        """The formula in degrees, where steering 1 is `max_deg`: "0.10 x + 0.04 x|x| of the x degrees learnt,
-        -0.20"."""
+        """The formula in degrees, where steering 1 is `max_deg`: "0.10 x + 0.040 x|x| of the x degrees
+        learnt, -0.20"."""
         unit = steering_unit(max_deg)
         full = unit.of(assumed_deg(max_deg))
         curve = f" + {self.curve / full:.3f} x|x|" if self.curve else ""

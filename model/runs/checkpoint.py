@@ -122,7 +122,7 @@ def load_checkpoint(run: Path, network: nn.Module, averaged: nn.Module, optimize
     Raises RunError if the checkpoint is damaged, of another version, or of another network.
     """
     path = _required(run)
-    tensors, stored = load_checksummed(path, run, _WAY_OUT)
+    tensors, stored = load_checksummed(path, run, network, _WAY_OUT)
     position = position_of(stored, path)
     networks = {"network": network} if averaged is network else {"network": network, "averaged": averaged}
     stepped = {

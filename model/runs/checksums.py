@@ -18,7 +18,7 @@ from typing import Final
 
 from safetensors import SafetensorError
 from safetensors.torch import load, save
-from torch import Tensor
+from torch import Tensor, nn
 
 from common.errors import printable
 from common.untrusted import read_bounded
@@ -28,7 +28,7 @@ from model.runs.run_files import replaced_file
 CHECKSUM: Final = "sha256"
 
 _ZEROS: Final = "0" * 64
-_MAX_BYTES: Final = 1 << 30  # a checkpoint has 60 MB
+_MAX_OTHER_BYTES: Final = 1 << 28  # beyond four copies of a network's weights: a checkpoint has four
 
 
 def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -45,14 +45,17 @@ def save_checksummed(path: Path, tensors: Mapping[str, Tensor], metadata: Mappin
         stream.write(values)
 
 
-def load_checksummed(path: Path, run: Path, otherwise: str) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """The tensors and the metadata of a file of `run`, after its checksum is verified.
+def load_checksummed(
+    path: Path, run: Path, network: nn.Module, otherwise: str
+) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """The tensors and the metadata of a file of `run`, whose network is `network`, after its checksum is verified.
 
     A file of an earlier version has no checksum: it is read, with one warning per run. Raises RunError for a
-    damaged file; its message ends with `otherwise`, the remedy.
+    damaged file, or one too large for the network; its message ends with `otherwise`, the remedy.
     """
+    weights_bytes = sum(tensor.nbytes for tensor in network.state_dict().values())
     try:
-        data = read_bounded(path, _MAX_BYTES)
+        data = read_bounded(path, 4 * weights_bytes + _MAX_OTHER_BYTES)
         tensors = load(data)
         header, values = _halves(data)
         metadata = json.loads(header).get("__metadata__") or {}  # null in a file of another program

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from common.errors import first_of
 from common.location import Location, absolute, local_path
 from common.random_access import file_exists
 from common.stored_settings import settings_from
@@ -49,7 +50,7 @@ def index_of_run(
     with Samples(own) as samples:
         changed = [name for name, log in samples.sources.items() if log.fingerprint != fingerprints[name]]
         if changed:
-            raise RunError(f"{sessions}: {', '.join(changed)} changed since {run} was trained on them")
+            raise RunError(f"{sessions}: {first_of(changed)} changed since {run} was trained on them")
         if not is_trained_on(stored, run, samples):
             raise RunError(
                 f"{own}: the same logs and settings as {run} had, but other samples: the tags of the logs have"

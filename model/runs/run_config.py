@@ -16,7 +16,7 @@ FORMAT: Final = 4
 DRIVABLE: Final = (1, 2, 3, 4)
 """Format 1 has fewer training settings. In format 2, the last layer may hold the answer scale. Up to format 3, the
 only target is steering."""
-MAX_CONFIG_BYTES: Final = 64 << 20  # a config.json names every log
+MAX_CONFIG_BYTES: Final = 256 << 20  # a config.json names every log: 100,000 take 160 MB
 
 
 def load_config(folder: Path) -> dict[str, Any]:

@@ -89,7 +89,7 @@ def locked_for_training(run: Path) -> Iterator[None]:
                 break
             time.sleep(0.02)
         else:
-            raise RunError(f"{run}: is being trained by another process; wait for it, or give another --name")
+            raise RunError(f"{run}: is being trained by another process; wait for it")
         yield
 
 

@@ -255,7 +255,8 @@ def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
     """Load the run's weights, as learnt, into `network`. Returns the scale of the run's answers. Raises RunError
     if the weights are damaged, or do not fit."""
     path = weights_path(folder)
-    weights, stored = load_checksummed(path, config_folder(folder), "copy it again, or train the run again")
+    remedy = "copy it again, or train the run again"
+    weights, stored = load_checksummed(path, config_folder(folder), network, remedy)
     if is_last_weights(folder):
         prefix = "averaged." if any(name.startswith("averaged.") for name in weights) else "network."
         weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
@@ -284,4 +285,4 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:
-        raise RunError(f"{path}: {error}, so it is damaged; copy it again, or train the run again") from None
+        raise RunError(f"{path}: damaged: {error}; copy it again, or train the run again") from None

@@ -117,7 +117,7 @@ def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[
         config = load_config(run)
         numbers = run_numbers(run, config, read_epochs(run), last_results(run), is_training=is_being_trained(run))
     except (OSError, ValueError) as error:
-        raise RunError(f"{run}: no verdict on it ({' '.join(str(error).split())})") from None
+        raise RunError(f"{run}: cannot be judged ({' '.join(str(error).split())})") from None
     return verdict_of(numbers if measured is None else numbers.of_rows(measured, sessions))
 
 
@@ -136,9 +136,9 @@ def _summary(run: Path) -> RunSummary:
     written_s = (weights if has_weights else run / CONFIG).stat().st_mtime if left is None else left.mtime_ns / 1e9
     stored = load_config(run)
     epochs = read_epochs(run)
-    kept = next((epoch for epoch in reversed(epochs) if epoch.is_best), None)
     results = last_results(run) if has_weights else []
     numbers = run_numbers(run, stored, epochs, results, is_training=is_being_trained(run))
+    kept = numbers.kept
     return RunSummary(
         run.name,
         str(run),

@@ -42,7 +42,7 @@ def place_of_copies(to: Location, run: Path, *, is_new: bool) -> Url:
     """The URL that a run is copied to. Raises UsageError if `to` is not in a store; RunError if the name of a new
     run exists in the store; StoreError if the store fails."""
     if not isinstance(to, Url):
-        raise UsageError(f"--copy-to {to}: a folder in a store was expected, such as s3://BUCKET/runs")
+        raise UsageError(f"--copy-to {to}: expected a folder in a store, such as s3://BUCKET/runs")
     from common.object_store import find_object  # an extra
 
     url = to / run.name

@@ -29,16 +29,15 @@ def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: d
     count = 0
     for session, part in frames.items():
         is_learnt = np.zeros(len(part), np.bool_)
-        for index_config, logs in trainings:
-            for name, fingerprint in logs.items():
-                if fingerprint == samples.sources[session].fingerprint:
-                    is_learnt |= is_for_training(part, samples.logs[session], name, index_config)
+        for index_config, names in trainings:
+            for name in names.get(samples.sources[session].fingerprint, ()):
+                is_learnt |= is_for_training(part, samples.logs[session], name, index_config)
         count += int(is_learnt.sum())
     return count
 
 
-def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, str]]:
-    """The settings of the split of a training, and the fingerprints of its logs by session. Raises KeyError,
+def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, list[str]]]:
+    """The settings of the split of a training, and its sessions by the fingerprint of their log. Raises KeyError,
     TypeError, ValueError, AttributeError or OverflowError for invalid data."""
     # Not by `settings_from`, which would refuse the unknown settings of other versions.
     settings = stored["settings"]
@@ -50,6 +49,8 @@ def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, str]]
         seed=int(settings["seed"]),
         drives="takeovers" if settings.get("drives") == "takeovers" else "all",
     )
-    logs = {str(session): str(log["fingerprint"]) for session, log in stored["logs"].items()}
-    "".join(logs).encode()  # raises ValueError for lone surrogates, which JSON may hold
-    return config, logs
+    "".join(stored["logs"]).encode()  # raises ValueError for lone surrogates, which JSON may hold
+    names: dict[str, list[str]] = {}
+    for session, log in stored["logs"].items():
+        names.setdefault(str(log["fingerprint"]), []).append(session)
+    return config, names

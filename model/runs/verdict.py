@@ -79,7 +79,7 @@ class Verdict:
     @property
     def summary(self) -> str:
         if not self.beside_mean:
-            return f"nothing was held out, so how good it is is unknown{self.driven and f'; {self.driven}'}"
+            return f"nothing was held out, so its error is unknown{self.driven and f'; {self.driven}'}"
         *before_rmse, rmse = self.beside_mean
         worse = [error for error in self.beside_mean if not error.ratio < 1]
         better = [error for error in self.beside_mean if error.ratio < 1]

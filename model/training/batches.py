@@ -44,10 +44,9 @@ def make_batches(
     """
     if device.type == "cpu":
         return HostBatches(loader)
-    if loader.alterations is not None and loader.seen.channels != "BGR":
-        return PinnedBatches(loader, device)  # the device alters only BGR
+    can_alter = loader.alterations is None or loader.seen.channels == "BGR"  # the device alters only BGR
     budget = _free_bytes(device) // 2 if budget_bytes is None else budget_bytes
-    if needed_bytes(loader) <= budget:
+    if can_alter and needed_bytes(loader) <= budget:
         return DeviceBatches(loader, device, advance)
     return PinnedBatches(loader, device)
 

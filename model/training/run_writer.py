@@ -24,9 +24,7 @@ class RunWriter:
         self.run = run
         self.has_saved = False
         """True once learnt weights are saved."""
-        self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = (
-            None  # epoch, weights, answer scale
-        )
+        self._unsaved_best: tuple[int, dict[str, Tensor], AnswerScale] | None = None
 
     def cut_history(self, position: Position, samples: int) -> None:
         """Remove all lines after `position` from the run's files; `samples` is the number of samples learnt by

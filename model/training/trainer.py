@@ -16,6 +16,7 @@ import torch
 from rich.progress import Progress
 
 from common import Skipped
+from common.errors import first_of
 from common.interrupts import stop_signals
 from common.location import Location, location
 from common.progress import progress_bar
@@ -183,7 +184,7 @@ def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str
             raise RunError(f"{samples.path}: no session has a {name}; leave it out of --targets")
         if missing := sorted(set(session.tolist()) - labelled):
             others = ", ".join(other for other in targets if other != name)
-            notices.append(f"{samples.path}: no {name} in {', '.join(missing)}, which train only {others}")
+            notices.append(f"{samples.path}: no {name} in {first_of(missing)}, which train only {others}")
     return notices
 
 

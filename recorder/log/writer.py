@@ -385,9 +385,9 @@ class LogWriter:
     def _finish(self) -> None:
         self._chunks.finish()
         self._stream.flush()
-        os.fsync(self._stream.fileno())
         if self._sync is not None:
             self._sync.close()
+        os.fsync(self._stream.fileno())
         self._stream.close()
 
     def _to_disk(self, action: Callable[..., Any], *arguments: Any, **options: Any) -> None:
@@ -408,7 +408,8 @@ class LogWriter:
 
     def _abandon(self) -> None:
         if self._sync is not None:
-            self._sync.close()
+            with contextlib.suppress(OSError):
+                self._sync.close()
         self._stream.raw.close()  # flushing the buffer would meet the full disk again
 
 

@@ -20,7 +20,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from test_rooms import MAY_IMPORT
 
-from common.output import print_message, print_result, print_table, shell_command
+from common.output import ask, print_message, print_result, print_table, shell_command
 from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import command, environment, started_to
@@ -49,6 +49,24 @@ def printed_by_itself(tree: ast.Module) -> list[str]:
             names = [alias.name for alias in node.names]
         lines += [f"line {getattr(node, 'lineno', 0)}: {name}" for name in names if name in PRINTING]
     return lines
+
+
+@pytest.mark.parametrize("keys", [b"\x04", b"\n", b"n\n"])
+def test_the_end_of_input_answers_a_question_with_no(keys: bytes) -> None:
+    ends = pty.openpty()
+    code = "from common.output import ask; print(ask('Tag it?'))"
+    os.write(ends[0], keys)
+    asked = subprocess.run(
+        [sys.executable, "-c", code], stdin=ends[1], stderr=ends[1], stdout=subprocess.PIPE, cwd=ROOT, check=False
+    )
+    for end in ends:
+        os.close(end)
+    assert (asked.returncode, asked.stdout) == (0, b"False\n")
+
+
+def test_nobody_is_asked_if_the_input_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", None)
+    assert ask("Tag it?") is None
 
 
 @pytest.mark.parametrize("room", sorted(MAY_IMPORT.keys() - {"common"}))

@@ -23,7 +23,10 @@ from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
 from common import Skipped
+from common.store_record import StoreRecord, read_record
 from common.untrusted import open_regular, read_bounded
+from dataset.frames.image_check_cache import read_image_check
+from dataset.index.build_state import BuildState, read_state
 from driving import Process, command, environment, run
 from logs import START_NS, read_messages, write_log
 from mcap_patch import patched
@@ -86,6 +89,26 @@ def test_only_files_are_opened(pipe: Path, read: Callable[[Path], object]) -> No
     for path in (pipe, pipe.parent, Path(os.devnull), Path("a\0b"), pipe.with_name("nothing")):
         with pytest.raises(OSError, match=r"\w"):
             read(path)
+
+
+@pytest.mark.parametrize("make", [with_hole, os.mkfifo])
+@pytest.mark.parametrize(
+    ("name", "read", "empty"),
+    [
+        (".store.json", read_record, StoreRecord()),
+        ("state.json", read_state, BuildState.nothing()),
+        ("looks/a.json", lambda folder: read_image_check(folder, "a", ""), None),
+    ],
+)
+def test_a_folders_records_are_not_read_without_bounds(
+    name: str, read: Callable[[Path], object], empty: object, make: Callable[[Path], object], tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    if make is with_hole:
+        path.touch()
+    make(path)
+    assert read(tmp_path) == empty
 
 
 def test_pipes_among_a_recordings_pictures_are_missing(tmp_path: Path, pipe: Path) -> None:

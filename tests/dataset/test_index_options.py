@@ -182,6 +182,11 @@ def test_a_row_on_both_sides_is_a_leak(tmp_path: Path) -> None:
     assert any("in training and in validation" in leak for leak in leaks)
 
 
+def test_a_row_that_the_frames_lack_is_damage(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="damaged"):
+        leak_of(tmp_path, split="train", row=1_000_000)
+
+
 def test_an_altered_picture_in_validation_is_a_leak(tmp_path: Path) -> None:
     [leak] = leak_of(tmp_path, alteration="blur", seed=3)
     assert "1 sample of validation is altered, or a copy" in leak
@@ -200,7 +205,7 @@ def test_training_within_the_gap_is_a_leak(tmp_path: Path) -> None:
         pq.write_table(pa.Table.from_pylist([*rows, extra], samples.schema), index / "samples.parquet")
         [leak] = find_leaks(index)
         assert f"training row {row} is " in leak
-        assert "s from validation, less than the gap of 1 s" in leak
+        assert "s from validation, within the gap of 1 s" in leak
 
 
 def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:

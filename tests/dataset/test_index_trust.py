@@ -43,6 +43,15 @@ def forget(index: Path) -> None:
     (index / "state.json").unlink()
 
 
+def test_an_angle_of_the_wheels_that_is_no_number_is_damage(tmp_path: Path) -> None:
+    index = build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index").path
+    with Samples(index) as samples:
+        logs = samples.metadata["logs"]
+    rewrite(index / "samples.parquet", logs={"a": {**logs["a"], "max_steering_deg": [25]}})
+    with Samples(index) as samples, pytest.raises(DatasetError, match=r"samples\.parquet: damaged"):
+        print(samples.max_steering_deg)
+
+
 # What changes while, or after
 
 

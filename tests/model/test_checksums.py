@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from safetensors.numpy import load_file, save_file
 from model import RunError, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
 from model.onnx_export import export_onnx
+from model.runs import checksums
 from toy import ONE
 
 
@@ -61,6 +63,20 @@ def test_the_checksum_is_that_of_the_file_with_zeros_in_its_place(trained: Path)
         data = path.read_bytes()
         assert data.count(stored.encode()) == 1
         assert hashlib.sha256(data.replace(stored.encode(), b"0" * 64)).hexdigest() == stored
+
+
+@pytest.mark.parametrize(("name", "hole_bytes"), [("model.safetensors", 1 << 29), ("last", 1 << 42)])
+def test_a_file_too_large_for_its_network_is_not_read(run: Path, name: str, hole_bytes: int) -> None:
+    path = checkpoint(run) if name == "last" else weights(run)
+    os.truncate(path, hole_bytes)
+    with pytest.raises(RunError, match=rf"{path.name}: cannot be read \(.*larger than 2\d\d MB"):
+        load_pilot(run / "last" if name == "last" else run)
+
+
+def test_a_checkpoint_of_any_network_is_read(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checksums, "_MAX_OTHER_BYTES", 1 << 16)
+    assert checkpoint(run).stat().st_size > 10 * (1 << 16)
+    load_pilot(run / "last")
 
 
 def test_others_read_the_weights_as_they_are(trained: Path) -> None:

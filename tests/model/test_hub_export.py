@@ -166,9 +166,9 @@ def test_of_a_run_that_says_nothing_the_card_says_so(
     assert "bc-eval" in said
     assert said.splitlines()[-1].startswith(f"next: `hf upload first {tmp_path / 'hub'}`")
     assert "--license" in said
-    assert "Not stated: ask whoever trained it" in told
-    assert "Nobody has measured it" in told
-    assert "Nobody has let it drive" in told
+    assert "Not stated: ask its author" in told
+    assert "Its errors are unknown" in told
+    assert "It has not driven yet" in told
     assert "model-index" not in front_matter(tmp_path / "hub")
 
 

@@ -83,7 +83,7 @@ def test_one_that_fails_is_said_and_the_training_goes_on(
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("nothing", "a listener was expected, with step, epoch and close; it has no step"),
+        ("nothing", "expected a listener with step, epoch and close; it has no step"),
         ("fails", r"mine.py:fails fails (ValueError: no key)"),
         ("Note", "did you mean Notes?"),
     ],

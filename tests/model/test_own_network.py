@@ -219,13 +219,16 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
         ("class Net(", r"net\.py cannot be run \(SyntaxError"),
         ("raise SystemExit(3)", r"net\.py cannot be run \(SystemExit: 3\)"),
         ("class Nett: pass", r"no Net in .*net\.py; did you mean Nett\?"),
-        ("class Net: pass", r"returns a Net: a torch\.nn\.Module was expected"),
+        ("class Net: pass", r"returns a Net, expected a torch\.nn\.Module"),
         (body("raise ValueError('no\\nluck')"), r"net\.py:Net\(\) fails \(ValueError: no\)"),
         (body("self.one.cuda()"), "it needs a GPU, and PyTorch finds none"),
         (body(answer="return self.one(x.mean((2, 3)).cuda())"), "it needs a GPU, and PyTorch finds none"),
-        (body(answer="return x.mean((2, 3))"), r"answers \(2, 3\) of torch\.float32 to 2 pictures: one number"),
+        (
+            body(answer="return x.mean((2, 3))"),
+            r"answers \(2, 3\) of torch\.float32 to 2 pictures: expected one number",
+        ),
         (body(answer="return x.mean()"), r"answers \(\) of torch\.float32 to 2 pictures"),
-        (body(answer="return {'steering': x}"), "answers dict to 2 pictures: one number for each was expected"),
+        (body(answer="return {'steering': x}"), "answers dict to 2 pictures: expected one number for each"),
         (
             body(answer="return self.one(x.mean((2, 3))) / 0 * 0"),
             r"net\.py:Net gives an answer that is not finite",
@@ -248,7 +251,7 @@ def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, said: s
 def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
     """It was passed over, and the network was given the original's 128 x 128 pixels."""
     path = written(tmp_path, body().replace("    def __init__", "    PICTURE = (96, 48)\n\n    def __init__", 1))
-    with pytest.raises(RunError, match=r"net\.py:Net: its PICTURE is a tuple: a PictureSpec was expected"):
+    with pytest.raises(RunError, match=r"net\.py:Net: its PICTURE is a tuple, expected a PictureSpec"):
         chosen_picture(ONE, choose_network(replace(ONE, network=f"{path}:Net")))
 
 

@@ -19,7 +19,7 @@ from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict
 from model.evaluation.evaluate import evaluate_sessions
 from model.runs.run_arguments import new_run_name
 from model.runs.run_files import locked_for_training
-from model.runs.run_folder import create_run, find_any_run
+from model.runs.run_folder import create_run, find_any_run, load_config
 from toy import ONE, toy_index
 
 
@@ -92,6 +92,12 @@ def test_a_damaged_run_is_a_run_error_that_names_the_file(
 
 
 @pytest.mark.usefixtures("exported_once")
+def test_a_run_of_a_hundred_thousand_logs_is_read(trained: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(trained, tmp_path / "first"))
+    edit(run / "config.json", index="x" * (160 << 20))  # as many bytes as their entries
+    assert load_config(run)["format"] == 4
+
+
 def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     run = str(train(str(index), str(tmp_path / "run"), ONE, init=str(trained)).run)

@@ -400,8 +400,8 @@ def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, 
         ({"targets": ("steering", "steering")}, "--targets steering steering: expected steering first"),
         ({"targets": ()}, r"--targets \(none\): expected steering first"),
         ({"targets": ("steering", "speed"), "target_weights": (1.0,)}, "one for each of steering, speed"),
-        ({"target_weights": (math.nan,)}, "--target-weights: numbers of 0 or more"),
-        ({"target_weights": (0.0,)}, "--target-weights: numbers of 0 or more, not all 0"),
+        ({"target_weights": (math.nan,)}, "--target-weights: expected numbers of 0 or more"),
+        ({"target_weights": (0.0,)}, "--target-weights: expected numbers of 0 or more, not all 0"),
     ],
 )
 def test_what_makes_no_sense_is_refused(settings: dict[str, tuple[object, ...]], why: str) -> None:
@@ -433,5 +433,5 @@ def test_ones_own_network_is_told_how_many_answers_are_wanted(tmp_path: Path) ->
     asks = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Asks", targets=("steering",)))
     assert asks.try_out(asks.picture, torch.device("cpu")) == 3 * 128 * 128 + 1
     steers = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:One"))
-    with pytest.raises(RunError, match=r"one number for each and each target was expected, \(2, 3\)"):
+    with pytest.raises(RunError, match=r"expected one number for each and each target, \(2, 3\)"):
         steers.try_out(steers.picture, torch.device("cpu"))

@@ -197,13 +197,13 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--epochs", 0], "--epochs 0: a whole number from 1 to 1,000,000 was expected"),
+        (["--epochs", 0], "--epochs 0: expected a whole number from 1 to 1,000,000"),
         (["--micro-batch", -1], "--micro-batch -1: a whole number from 0"),
         (["--seed", -1], "--seed -1: a whole number from 0"),
         (["--rate", 0], "--rate 0: a number above 0"),
         (["--rate", "nan"], "--rate nan: a number above 0"),
         (["--dropout", 1], "--dropout 1: a number from 0 to 1"),
-        (["--name", "a/b"], "--name 'a/b': a plain name was expected"),
+        (["--name", "a/b"], "--name 'a/b': expected a plain name"),
     ],
 )
 def test_bad_usage_names_the_flag(

@@ -227,7 +227,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(sound(settings={"flip": False}), measured=TURNS),
             "0 % of the turns held out go right, and nothing is mirrored",
-            "bc-index --flip && bc-train",
+            "bc-index && bc-train",
         ),
         (numbers(measured=TURNS), "drive the road the other way round", "bc-record more --track random:2"),
         (
@@ -276,7 +276,7 @@ def test_the_rules_have_an_end() -> None:
     """The last one always has an advice, also of a run of which nothing is known."""
     empty = run_numbers(Path("runs/first"), {}, [])
     assert RULES[-1](empty) == Advice("nothing of it is measured yet", "bc-eval first")
-    assert verdict_of(empty).summary == "nothing was held out, so how good it is is unknown"
+    assert verdict_of(empty).summary == "nothing was held out, so its error is unknown"
 
 
 def test_what_strangers_have_written_is_quoted_and_survived() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import nturl2path
 import os
 import re
 import shutil
@@ -68,6 +69,11 @@ def test_a_place_is_a_path_or_a_url() -> None:
     assert url == Url("s3", "bucket", "sessions/a.mcap")
     assert (str(url), url.name, url.stem, url.suffix) == ("s3://bucket/sessions/a.mcap", "a.mcap", "a", ".mcap")
     assert str(url.parent / "b.mcap") == "s3://bucket/sessions/b.mcap"
+
+
+def test_a_file_url_of_windows_is_a_path_with_its_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("urllib.request.url2pathname", nturl2path.url2pathname)
+    assert str(location("file:///C:/x/a%20b.mcap")) == r"C:\x\a b.mcap"
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import random
@@ -429,3 +430,22 @@ def test_a_live_log_whose_end_does_not_fit_is_kept(tmp_path: Path) -> None:
         record(path)
     [part] = tmp_path.glob("lake*")
     assert [message.sequence for message in contents(recover(part, path).path).messages] == [0]
+
+
+def test_a_write_that_fails_in_the_background_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system reports a lost write to one flush only, and then forgets it."""
+    flush, failures = os.fsync, [OSError(errno.EIO, "Input/output error")]
+
+    def fails_once(descriptor: int) -> None:
+        if threading.current_thread().name == "sync" and failures:
+            raise failures.pop()
+        flush(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fails_once)
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
+    writer = LogWriter(tmp_path / "lake.mcap", {}, live=True)
+    writer.picture("center", 1, 0, bytes(9_000))
+    wait_until(lambda: not failures)
+    with pytest.raises(UserError, match=r"\.part: cannot be written any further \(Input/output error\)"):
+        writer.close()
+    assert not (tmp_path / "lake.mcap").exists()
