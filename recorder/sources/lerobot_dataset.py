@@ -118,7 +118,7 @@ def open_dataset(folder: Path) -> LeRobotFolder:
 def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
     version = str(info["codebase_version"])
     if not version.startswith("v3."):
-        advice = f". {_CONVERT}" if version.startswith(("v1", "v2")) else ""
+        advice = f". {_CONVERT}" if version == "v2.1" else ""
         raise RecordingError(
             f"{folder}: a LeRobot dataset of format {printable(version[:40])}; expected {VERSION}{advice}"
         )

@@ -25,13 +25,13 @@ class SimulatedDrive:
     driver: DriverName | Literal["me"] = "expert"
     """The expert, a simulated person at keyboard or mouse, or you (me)."""
     laps: float | None = None
-    """Laps at each speed; by default 1."""
+    """Laps at each speed; by default 1, with --driver me any number."""
     start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
     """With --driver me: where to start."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
     """Set speeds, one drive each; the driver slows for bends."""
     rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
-    """Recorded rows a second; it must divide 50."""
+    """Recorded rows a second: a divisor of 100, at most 50."""
     recovery: float = 0.35
     """Share of rows in which the car returns to the line."""
     noise: float = 0.03

@@ -124,13 +124,13 @@ def unfinished(path: Path, *, messages_kept: float) -> Path:
     return path
 
 
-def test_an_unfinished_log_shows_what_is_whole_in_it_and_says_so(folder: Path, tmp_path: Path) -> None:
+def test_an_unfinished_log_shows_what_is_whole_in_it_and_says_so(session: Path, tmp_path: Path) -> None:
     log = unfinished(tmp_path / "killed.mcap.ab12cd.part", messages_kept=0.8)
     done = run("bc-play", log, "--save", tmp_path / "x.rrd")
     assert done.returncode == 3
     line, _ = done.stderr.splitlines()
     assert f"{log}: unfinished" in line
-    entities, whole = contents(tmp_path / "x.rrd"), contents(folder / "session.rrd")
+    entities, whole = contents(tmp_path / "x.rrd"), contents(session)
     rows = len(entities["/steering/recorded"]["message_log_time"])
     assert 10 < rows < ROWS
     assert (
