@@ -64,6 +64,8 @@ def _line_of(event: Any, config: Any) -> str:
         case "InstantiationFailure" if event.argument is not None:
             words = [_name_of(event.argument), *_words_after(event.argument)]
             return f"{' '.join(words)}: expected {_expected(event.argument)}; {help_line}"
+        case "InstantiationFailure":  # a config's own ValueError, which names the flag
+            return str(event.message)
     raise AttributeError(type(event).__name__)
 
 

@@ -96,7 +96,7 @@ def test_a_card_and_a_file_for_others_say_that_the_angle_is_unknown(
     assert call(bc_train, "export", "first", "--hub", "hub") == 0
     text = Path("hub/README.md").read_text()
     assert "where 1 is full lock, an unknown angle" in text
-    assert "in % of full lock, beside those of predictors" in text
+    assert "in % of full lock, compared with constant predictions" in text
     assert "degrees" not in text
     session = onnxruntime.InferenceSession("hub/model.onnx", providers=["CPUExecutionProvider"])
     said = session.get_modelmeta().custom_metadata_map

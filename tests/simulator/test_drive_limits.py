@@ -18,12 +18,12 @@ from udacity import call
         (
             bc_record,
             ["fast", "--speed", "500"],
-            "--speed 500: a set speed above 0 mph and up to 100 (the car reaches",
+            "--speed 500: expected a set speed above 0 mph and up to 100 (the car reaches",
         ),
         (
             bc_record,
             ["long", "--laps", "1000000"],
-            "--laps 1e+06: a number above 0 and up to 1,000 (a lap takes some",
+            "--laps 1e+06: expected a number above 0 and up to 1,000 (a lap takes some",
         ),
         (
             bc_record,
