@@ -1,12 +1,13 @@
 """How fast a log opens in the viewer, and how much memory it takes, by minutes of driving at 25 rows a second.
 
-python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 120] [--folder .]
+python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 120] [--folder .] [--ways play]
 
 The rows of a session (three cameras) and of a drive (one camera, and the network's crops) are repeated until a log
 is long enough. Three ways are measured: bc-play shows the log in a running headless viewer; bc-play writes an .rrd
-file, which a headless viewer opens; the viewer opens the log itself, without curves. A log is completely shown
-when the view of the centre camera shows the last picture, which is green. Times include the start-up of bc-play;
-memory is without mapped files. A headless viewer needs a graphics driver: on a bare server, Debian's package
+file, which a headless viewer opens; the viewer opens the log itself, without curves. --ways chooses some of them.
+A log is completely shown when the view of the centre camera shows the last picture, which is green. A jump begins
+at the first picture and ends when the last one is shown. Times include the start-up of bc-play; memory is without
+mapped files. A headless viewer needs a graphics driver: on a bare server, Debian's package
 mesa-vulkan-drivers.
 """
 
@@ -14,12 +15,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Final
 
@@ -31,6 +33,7 @@ from rerun.experimental import ViewerClient
 from common.car import CAMERAS
 from recorder import Log, LogWriter
 from recorder.topics import PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic
+from viz.playback.blueprint import DRIVEN_SPEED
 from viz.targets import WINDOW_MEMORY
 from viz.timelines import LOG_TIME
 from viz.viewer_process import free_port, viewer_program
@@ -38,27 +41,33 @@ from viz.viewer_process import free_port, viewer_program
 ROWS_A_SECOND: Final = 25
 REPEATED: Final = 500  # rows
 GREEN: Final = (0, 255, 0)
+JUMPS: Final = 5
+SPEED_CURVE: Final = DRIVEN_SPEED
 PATIENCE_S: Final = 300.0
 MIN_FREE_MB: Final = 1500  # with less memory, times are useless, and the system may kill other programs
 
 
 @dataclass(frozen=True)
 class Opened:
-    """Measurements of opening a log: seconds until the viewer had the first pictures, until all was sent, and
-    until the last picture was shown; megabytes of bc-play and of the viewer."""
+    """Measurements of opening a log: seconds until the viewer had the first curves and the first pictures, until
+    all was sent, and until the last picture was shown; of a jump; megabytes of bc-play and of the viewer."""
 
+    curves_s: float
     first_s: float
     sent_s: float
     seen_s: float
+    jump_s: float
     player_mb: float
     viewer_mb: float
 
 
 @dataclass(frozen=True)
 class ByItself:
-    """Measurements of a viewer that opens a log itself: seconds until the last picture was shown; megabytes."""
+    """Measurements of a viewer that opens a log itself: seconds until the last picture was shown, and of a jump;
+    megabytes."""
 
     seen_s: float
+    jump_s: float
     viewer_mb: float
 
 
@@ -69,7 +78,11 @@ class Saved:
 
     written_s: float
     seen_s: float
+    jump_s: float
     viewer_mb: float
+
+
+WAYS: Final = {"play": Opened, "save": Saved, "itself": ByItself}
 
 
 def write_long_log(source: Path, path: Path, minutes: float) -> None:
@@ -113,10 +126,12 @@ def opened(log: Path) -> Opened:
     with viewer() as (process, client, port):
         start_s = time.perf_counter()
         player = subprocess.Popen(bc_play(str(log), "--connect", str(port)))
-        first_s = player_mb = viewer_mb = 0.0
+        curves_s = first_s = player_mb = viewer_mb = 0.0
         while player.poll() is None:
             player_mb, viewer_mb = max(player_mb, memory_mb(player.pid)), max(viewer_mb, memory_mb(process.pid))
             refuse_full_memory(player)
+            if not curves_s and has_component(client, SPEED_CURVE, ":scalars"):
+                curves_s = time.perf_counter() - start_s
             if not first_s and has_component(client, camera_topic("center"), ":blob"):
                 first_s = time.perf_counter() - start_s
             time.sleep(0.05)
@@ -125,7 +140,10 @@ def opened(log: Path) -> Opened:
             sys.exit(f"bc-play: exit code {player.returncode}")
         wait_for_last(client, log)
         seen_s = time.perf_counter() - start_s
-        return Opened(first_s or sent_s, sent_s, seen_s, player_mb, max(viewer_mb, memory_mb(process.pid)))
+        viewer_mb = max(viewer_mb, memory_mb(process.pid))
+        return Opened(
+            curves_s or sent_s, first_s or sent_s, sent_s, seen_s, jump(client, log), player_mb, viewer_mb
+        )
 
 
 def saved(log: Path, rrd: Path) -> Saved:
@@ -133,7 +151,7 @@ def saved(log: Path, rrd: Path) -> Saved:
     subprocess.run(bc_play(str(log), "--save", str(rrd)), stdout=subprocess.DEVNULL, check=True)
     written_s = time.perf_counter() - start_s
     alone = by_itself(rrd, log)
-    return Saved(written_s, alone.seen_s, alone.viewer_mb)
+    return Saved(written_s, alone.seen_s, alone.jump_s, alone.viewer_mb)
 
 
 def by_itself(file: Path, log: Path) -> ByItself:
@@ -148,7 +166,9 @@ def by_itself(file: Path, log: Path) -> ByItself:
             refuse_full_memory(process)
             time.sleep(0.05)
         wait_for_last(client, log)
-        return ByItself(time.perf_counter() - start_s, max(viewer_mb, memory_mb(process.pid)))
+        seen_s = time.perf_counter() - start_s
+        viewer_mb = max(viewer_mb, memory_mb(process.pid))
+        return ByItself(seen_s, jump(client, log), viewer_mb)
 
 
 def is_loading(client: ViewerClient) -> bool:
@@ -156,6 +176,24 @@ def is_loading(client: ViewerClient) -> bool:
         return bool(client.get_state().loading)
     except TimeoutError:  # the viewer is busy
         return True
+
+
+def jump(client: ViewerClient, log: Path) -> float:
+    """Seconds from a jump to the log's end until the view of the centre camera shows the last picture, the median
+    of `JUMPS`."""
+    with Log(log) as read:
+        first_ns, last_ns = read.time_range_ns
+    jumps_s = []
+    for _ in range(JUMPS):
+        client.set_time(LOG_TIME, timestamp=np.datetime64(first_ns, "ns"), play_state="paused")
+        while shows_green(client):
+            time.sleep(0.01)
+        start_s = time.perf_counter()
+        client.set_time(LOG_TIME, timestamp=np.datetime64(last_ns, "ns"), play_state="paused")
+        while not shows_green(client):
+            time.sleep(0.01)
+        jumps_s.append(time.perf_counter() - start_s)
+    return statistics.median(jumps_s)
 
 
 def wait_for_last(client: ViewerClient, log: Path) -> None:
@@ -252,23 +290,30 @@ def main() -> None:
     parser.add_argument("drive", type=Path)
     parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 120.0])
     parser.add_argument("--folder", type=Path, default=Path())
+    parser.add_argument("--ways", nargs="+", default=[*WAYS], choices=WAYS)
     chosen = parser.parse_args()
-    print("| log | size | first pictures | all sent | last picture seen | bc-play | viewer", end="")
-    print(" | `--save` | that file: last picture seen | viewer | by itself: last picture seen | viewer |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+    headings = ["log", "size"]
+    headings += [f"{way}: {field.name.replace('_', ' ')}" for way in chosen.ways for field in fields(WAYS[way])]
+    print(f"| {' | '.join(headings)} |\n|{'---|' * len(headings)}")
     for minutes in chosen.minutes:
         for kind, source in (("session", chosen.session), ("drive", chosen.drive)):
             with tempfile.TemporaryDirectory(dir=chosen.folder) as folder:
-                log, rrd = Path(folder) / "long.mcap", Path(folder) / "long.rrd"
+                log = Path(folder) / "long.mcap"
                 write_long_log(source, log, minutes)
-                size_mb = log.stat().st_size / 1e6
-                shown, file, alone = opened(log), saved(log, rrd), by_itself(log, log)
-            cells = [f"{kind}, {minutes:g} minutes", f"{size_mb:,.0f} MB"]
-            cells += [f"{seconds:.1f} s" for seconds in (shown.first_s, shown.sent_s, shown.seen_s)]
-            cells += [f"{shown.player_mb:,.0f} MB", f"{shown.viewer_mb:,.0f} MB"]
-            cells += [f"{file.written_s:.1f} s", f"{file.seen_s:.1f} s", f"{file.viewer_mb:,.0f} MB"]
-            cells += [f"{alone.seen_s:.1f} s", f"{alone.viewer_mb:,.0f} MB"]
+                cells = [f"{kind}, {minutes:g} minutes", f"{log.stat().st_size / 1e6:,.0f} MB"]
+                for way in chosen.ways:
+                    cells += [as_cell(name, value) for name, value in asdict(measured(way, log)).items()]
             print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def measured(way: str, log: Path) -> Opened | Saved | ByItself:
+    if way == "play":
+        return opened(log)
+    return saved(log, log.with_suffix(".rrd")) if way == "save" else by_itself(log, log)
+
+
+def as_cell(name: str, value: float) -> str:
+    return f"{value:,.0f} MB" if name.endswith("_mb") else f"{value:.2f} s"
 
 
 if __name__ == "__main__":
