@@ -15,7 +15,7 @@ from model.network.names import check_network_name
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
 Answers = Literal["natural", "as-learnt"]
-Keep = Literal["driving-error", "balanced-rmse", "rmse", "last"]
+Keep = Literal["last", "driving-error", "balanced-rmse", "rmse"]
 
 _RANGES: Final = {
     "epochs": (1, 10**6),
@@ -75,14 +75,14 @@ class TrainConfig:
     """Average the weights over about this many steps; 1: off."""
     answers: Answers = "natural"
     """natural: undo the balancing's effect on answers."""
-    keep: Keep = "driving-error"
-    """Keep the epoch with the smallest of these errors, or the last."""
+    keep: Keep = "last"
+    """Keep the last epoch, or that with the smallest of these errors."""
     dropout: float = 0.5
     """Share of activations that dropout zeroes."""
     seed: int = 0
     """Seed of weights, dropout and the order of samples."""
     patience: int = 0
-    """Stop after this many epochs without progress; 0: never."""
+    """Stop after this many epochs without progress; 0: never. Not with --keep last."""
     device: Device = "auto"
     """auto: a GPU if there is one."""
     precision: Precision = "auto"
@@ -99,7 +99,9 @@ class TrainConfig:
         """The defaults of a recipe."""
         if recipe == "original":
             return cls(**cls.EARLIER)
-        return cls() if recipe == "altered" else cls(recipe=recipe, alter_each_epoch=("none",))
+        if recipe == "people":
+            return cls(recipe=recipe, keep="driving-error", alter_each_epoch=("none",))
+        return cls()
 
     def __post_init__(self) -> None:
         """Raises ValueError, which names the flag, for an invalid value."""
@@ -125,7 +127,8 @@ class TrainConfig:
             raise ValueError("--target-weights: expected numbers of 0 or more, not all 0")
         if self.keep == "last" and self.patience:
             raise ValueError(
-                f"--patience {self.patience}: cannot be used with --keep last, which always prefers the last epoch"
+                f"--patience {self.patience}: not with --keep last, which prefers every new epoch; give --keep"
+                " driving-error as well"
             )
         names = self.alter_each_epoch
         if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):

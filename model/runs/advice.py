@@ -134,13 +134,14 @@ def is_still_improving(numbers: RunNumbers) -> Advice | None:
     more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * len(numbers.epochs))}"
     if not epochs:
         return None
-    is_best = epochs[-1] is numbers.kept
+    errors = [epoch.measures.driving_error for epoch in epochs]
+    is_best = errors[-1] == min(errors)
     if len(epochs) < FEW_EPOCHS:
         why = "the last one is still the best" if is_best else f"networks of fewer than {FEW_EPOCHS} seldom drive"
         return Advice(f"{counted(len(epochs), 'epoch')}: {why}", more)
     if not is_best:
         return None
-    last, before = (epoch.measures.driving_error for epoch in (epochs[-1], epochs[-2]))
+    before, last = errors[-2:]
     if before - last > STILL_IMPROVING * before:
         return Advice(f"its driving error still fell in epoch {len(epochs):,} ({before:.2f} to {last:.2f})", more)
     return None

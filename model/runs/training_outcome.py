@@ -51,7 +51,7 @@ def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
     rmse = f"{shown(rmse_deg(smallest)):.2f} against {shown(rmse_deg(best)):.2f}"
     other = f"epoch {smallest.epoch:,} for its RMSE ({rmse})"
     if keep == "last":
-        return [f"epoch {best.epoch:,} is kept as the last one (--keep last) and not {other}"]
+        return [f"epoch {best.epoch:,} is kept because it is the last (--keep last), and not {other}"]
     best_error, other_error = (error_to_keep_by(keep, epoch.measures) for epoch in (best, smallest))
     if keep == "balanced-rmse":
         best_error, other_error = shown(best_error), shown(other_error)

@@ -39,5 +39,5 @@ def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
 
 
 def test_the_last_epoch_and_patience_do_not_go_together() -> None:
-    with pytest.raises(ValueError, match="--patience 3: cannot be used with --keep last"):
+    with pytest.raises(ValueError, match="--patience 3: not with --keep last"):
         TrainConfig(keep="last", patience=3)

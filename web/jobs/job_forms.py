@@ -122,7 +122,7 @@ def _run(values: Mapping[str, str]) -> str:
 _INDEX: Final = IndexConfig()
 _TRAIN: Final = TrainConfig()
 _TARGETS: Final = ("steering", "steering speed", "steering throttle", "steering speed throttle")
-_KEEP: Final = ("driving-error", "balanced-rmse", "rmse", "last")
+_KEEP: Final = ("last", "driving-error", "balanced-rmse", "rmse")
 INDEX_FIELDS: Final = (
     Field("sessions", "sessions", "", hint="all of them", suggestions="sessions", is_several=True),
     Field("recipe", "recipe", choices=get_args(IndexRecipe)),
