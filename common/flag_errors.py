@@ -82,6 +82,8 @@ def _unknown(tokens: Sequence[str], config: Any) -> str:
     flag = flag.partition("=")[0]
     if instead := getattr(config, "REMOVED", {}).get(flag):
         return f"{flag}: was removed; {instead}"
+    if flag in names:  # of another subcommand
+        return f"{flag}: not a flag of this command"
     return f"{flag}: no such flag{_after('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
 
 

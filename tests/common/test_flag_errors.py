@@ -44,6 +44,7 @@ def test_what_a_flag_takes_is_said_in_words(
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
         (bc_record, ["a", "-from", "b"], "bc-record: -from: no such flag; did you mean --from?"),
         (bc_record, ["a", "--form=b"], "bc-record: --form: no such flag; did you mean --from?"),
+        (bc_log, ["info", "a", "--where", "row < 3"], "bc-log: --where: not a flag of this command; `"),
         (bc_index, ["--flip"], "bc-index: --flip: no such flag; did you mean --no-flip?"),
         (bc_index, ["--figures", "f"], "bc-index: --figures: was removed; bc-web shows the balance"),
         (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),

@@ -143,7 +143,7 @@ def test_all_that_is_sure_and_what_a_condition_says_are_excluded_at_once(browser
         wait_until(lambda: tags(bench) == [("exclude", *CRASH)])  # both at once
         page.fill("#where", "speed")
         page.keyboard.press("Enter")
-        wait_until(lambda: "expected a number or a column, not speed;" in page.inner_text("#status"))
+        wait_until(lambda: "expected a comparison (<, <=, >, >=, =, !=), not speed;" in page.inner_text("#status"))
         page.click("#where-clear")
         wait_until(lambda: page.locator("#odd li").count() == 3)
 
