@@ -37,7 +37,7 @@ class EpochPrinter:
         )
         print_result(
             f"epoch {epoch.epoch:>2}: loss {decimal(epoch.training_loss, 4)},{validation}"
-            f" {epoch.samples_per_s:,.0f} samples/s{', best' if epoch.is_best else ''}"
+            f" {epoch.samples_per_s:,.0f} samples/s{', kept' if epoch.is_best else ''}"
         )
         for target in epoch.targets:
             if target.frames:

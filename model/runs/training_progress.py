@@ -42,7 +42,7 @@ class Epoch:
     training_loss: float  # mean squared error of steering, -1..1, and of other targets, during the epoch
     validation_loss: float  # of the frames held out, after the epoch
     measures: Measures  # of the frames held out: centre camera, unmirrored, unaltered
-    is_best: bool  # the best epoch so far
+    is_best: bool  # its weights are kept until a later epoch is better
     seconds: float
     samples_per_s: float
     answers: AnswerScale = field(default_factory=AnswerScale)  # applied before measuring
