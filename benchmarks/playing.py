@@ -42,7 +42,6 @@ ROWS_A_SECOND: Final = 25
 REPEATED: Final = 500  # rows
 GREEN: Final = (0, 255, 0)
 JUMPS: Final = 5
-SPEED_CURVE: Final = DRIVEN_SPEED
 PATIENCE_S: Final = 300.0
 MIN_FREE_MB: Final = 1500  # with less memory, times are useless, and the system may kill other programs
 
@@ -130,7 +129,7 @@ def opened(log: Path) -> Opened:
         while player.poll() is None:
             player_mb, viewer_mb = max(player_mb, memory_mb(player.pid)), max(viewer_mb, memory_mb(process.pid))
             refuse_full_memory(player)
-            if not curves_s and has_component(client, SPEED_CURVE, ":scalars"):
+            if not curves_s and has_component(client, DRIVEN_SPEED, ":scalars"):
                 curves_s = time.perf_counter() - start_s
             if not first_s and has_component(client, camera_topic("center"), ":blob"):
                 first_s = time.perf_counter() - start_s

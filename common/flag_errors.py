@@ -103,7 +103,8 @@ def _names_of(kind: Any) -> Iterator[str]:
             yield from _names_of(inner)
         elif tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
             name = next((note.name for note in notes if getattr(note, "name", None)), flag.name)
-            yield f"--{'no-' * (flag.default is True)}{name.replace('_', '-')}"
+            dashes = "--no-" if flag.default is True else "--"
+            yield dashes + name.replace("_", "-")
 
 
 def _name_of(argument: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,14 @@ def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """The first and last position of every run of True in a mask (N,)."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).tolist()
     return [(first, end - 1) for first, end in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def within(numbers: NDArray[np.int64], pairs: Iterable[tuple[int, int]]) -> NDArray[np.bool_]:
+    """A mask (N,) of the numbers (N,) that are in one of the stretches `pairs`."""
+    mask = np.zeros(len(numbers), np.bool_)
+    for first, last in pairs:
+        mask |= (numbers >= first) & (numbers <= last)
+    return mask
 
 
 def consecutive(numbers: Sequence[int]) -> list[tuple[int, int]]:

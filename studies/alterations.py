@@ -1,14 +1,14 @@
 """Do random alterations in every epoch help? Networks are trained on some people and measured on the others.
 
 python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people all] [--seeds 0 1 2]
-    [--parts one three drive] [--epoch last] [--table] [--together]
+    [--parts one three drive] [--last] [--table] [--together]
 
 "one": for each person, a network trained on this person is measured on all others. "three": for each person, a
 network trained on all others is measured on this person. Frames of crashes are left out. Errors are divided by
 those of always predicting the mean of the same frames. "drive": a network trained on half a lap of both built-in
 tracks by the simulated keyboard driver drives full laps. Each result is a file in FOLDER/results. Existing results
 are not computed again, and a stopped training continues. --table only prints.
---epoch last measures the last epoch, not the one with the smallest driving error on the held-out frames.
+--last measures the last epoch, not the one with the smallest driving error on the held-out frames.
 --together measures the mean answer of the networks of all seeds of "three".
 """
 
@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--recipes", nargs="+", default=["people", "all"], choices=RECIPES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--parts", nargs="+", default=["one", "three"], choices=["one", "three", "drive"])
-    parser.add_argument("--epoch", default="kept", choices=["kept", "last"])
+    parser.add_argument("--last", action="store_true")
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--together", action="store_true")
     chosen = parser.parse_args()
@@ -72,14 +72,14 @@ def main() -> None:
         for seed, kind in product(chosen.seeds, chosen.parts):
             for learnt, recipe in product(parts(logs, kind), chosen.recipes):
                 if kind == "drive":
-                    drive_roads(chosen.folder, chosen.network, recipe, seed, chosen.epoch)
+                    drive_roads(chosen.folder, chosen.network, recipe, seed, chosen.last)
                 else:
-                    measure(chosen.folder, chosen.network, recipe, seed, learnt, logs, chosen.epoch)
+                    measure(chosen.folder, chosen.network, recipe, seed, learnt, logs, chosen.last)
     for kind in chosen.parts:
         if kind == "drive":
-            print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds, chosen.epoch)
+            print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds, chosen.last)
         else:
-            print_table(chosen.folder, chosen.network, kind, logs, chosen.recipes, chosen.seeds, chosen.epoch)
+            print_table(chosen.folder, chosen.network, kind, logs, chosen.recipes, chosen.seeds, chosen.last)
     if chosen.together:
         print_together(chosen.folder, chosen.network, logs, chosen.recipes, chosen.seeds)
 
@@ -91,15 +91,15 @@ def parts(logs: Sequence[Path], kind: str) -> list[list[Path]]:
 
 
 def measure(
-    folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], logs: Sequence[Path], epoch: str
+    folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], logs: Sequence[Path], last: bool
 ) -> None:
     """Train on `learnt`, and measure on the other logs."""
-    result = file_of(folder, network, recipe, seed, learnt, epoch)
+    result = file_of(folder, network, recipe, seed, learnt, last)
     if result.exists():
         return
     print(result.stem, file=sys.stderr, flush=True)
     trained = trained_on(folder, network, recipe, seed, learnt)
-    evaluation = evaluate_sessions(measured(trained.run, epoch), [log for log in logs if log not in learnt])
+    evaluation = evaluate_sessions(measured(trained.run, last), [log for log in logs if log not in learnt])
     keep(result, {"best_epoch": trained.best_epoch, "sessions": values_of(evaluation)})
 
 
@@ -125,14 +125,14 @@ def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Seque
     return train(index, run, config, resume=run.exists(), show_progress=False)
 
 
-def measured(run: Path, epoch: str) -> Path:
-    return run / "last" if epoch == "last" else run
+def measured(run: Path, last: bool) -> Path:
+    return run / "last" if last else run
 
 
-def drive_roads(folder: Path, network: str, recipe: str, seed: int, epoch: str) -> None:
+def drive_roads(folder: Path, network: str, recipe: str, seed: int, last: bool) -> None:
     """Train on half laps by the simulated keyboard driver, and drive."""
     sessions = [folder / "sessions" / f"keyboard_{track}.mcap" for track in ("lake", "mountain")]
-    result = file_of(folder, network, recipe, seed, sessions, epoch)
+    result = file_of(folder, network, recipe, seed, sessions, last)
     if result.exists():
         return
     print(result.stem, file=sys.stderr, flush=True)
@@ -143,17 +143,20 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int, epoch: str) 
             subprocess.run([*record, *drive_flags], check=True)
     trained = trained_on(folder, network, recipe, seed, sessions)
     drives = [(BuiltInSimulator(road), DriveConfig(set_speed_mph=MPH)) for road in ROADS]
-    pilot = load_pilot(measured(trained.run, epoch))
-    reports = [result.report for result in drive(pilot, drives, trained.run / f"drives-{epoch}", overwrite=True)]
+    pilot = load_pilot(measured(trained.run, last))
+    reports = [
+        result.report
+        for result in drive(pilot, drives, trained.run / ("drives-last" if last else "drives"), overwrite=True)
+    ]
     keep(result, dict(zip(ROADS, reports, strict=True)))
 
 
-def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequence[int], epoch: str) -> None:
+def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequence[int], last: bool) -> None:
     """Print interventions, and the mean offset as a share of the half width, for each recipe and seed."""
     print(f"\n| `{network}` | seed | {' | '.join(ROADS)} |\n|{'---|' * (2 + len(ROADS))}")
     sessions = [Path("keyboard_lake"), Path("keyboard_mountain")]
     for recipe, seed in product(recipes, seeds):
-        file = file_of(folder, network, recipe, seed, sessions, epoch)
+        file = file_of(folder, network, recipe, seed, sessions, last)
         if file.exists():
             reports = json.loads(file.read_text())
             cells = [f"{reports[road]['interventions']}, {reports[road]['mean_offset']:.3f}" for road in ROADS]
@@ -167,13 +170,13 @@ def keep(result: Path, values: Mapping[str, object]) -> None:
     unfinished.rename(result)
 
 
-def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], epoch: str) -> Path:
+def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], last: bool) -> Path:
     named = "-".join([network, recipe.replace(" ", "-"), *(log.stem for log in learnt)])
-    return folder / f"results-{epoch}" / f"{named}-{seed}.json"
+    return folder / ("results-last" if last else "results") / f"{named}-{seed}.json"
 
 
 def run_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Path:
-    return folder / "runs" / file_of(folder, network, recipe, seed, learnt, "kept").stem
+    return folder / "runs" / file_of(folder, network, recipe, seed, learnt, last=False).stem
 
 
 def print_together(
@@ -200,7 +203,7 @@ def print_table(
     logs: Sequence[Path],
     recipes: Sequence[str],
     seeds: Sequence[int],
-    epoch: str,
+    last: bool,
 ) -> None:
     """Print, for each recipe, the mean over pairs of each seed: its mean, minimum and maximum over seeds."""
     print(
@@ -209,7 +212,7 @@ def print_table(
     for recipe in recipes:
         seed_means: list[list[float]] = []
         for seed in seeds:
-            files = [file_of(folder, network, recipe, seed, learnt, epoch) for learnt in parts(logs, kind)]
+            files = [file_of(folder, network, recipe, seed, learnt, last) for learnt in parts(logs, kind)]
             if not all(file.exists() for file in files):
                 continue
             measures = [values for file in files for values in json.loads(file.read_text())["sessions"].values()]

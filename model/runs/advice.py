@@ -185,7 +185,7 @@ def has_one_camera(numbers: RunNumbers) -> Advice | None:
     has_others = not rows or frames > 1.5 * rows
     if not has_others or set(numbers.data.settings.cameras) != {"center"}:
         return None
-    return Advice("the side cameras are left out", _index(numbers, " --cameras center left right"))
+    return Advice("the side cameras are left out", _index(numbers, "--cameras center left right"))
 
 
 def nothing_stands_out(numbers: RunNumbers) -> Advice:
@@ -247,4 +247,4 @@ def _record(numbers: RunNumbers) -> str:
 
 def _index(numbers: RunNumbers, flags: str = "") -> str:
     place = f"{numbers.sessions_flag}{numbers.index_flag}"
-    return f"bc-index{place}{flags} && bc-train{numbers.index_flag}"
+    return f"{f'bc-index{place} {flags}'.rstrip()} && bc-train{numbers.index_flag}"

@@ -17,7 +17,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
@@ -48,6 +48,8 @@ from model.runs.run_files import CONFIG as CONFIG
 from model.runs.run_files import LAST, is_being_trained, replaced_file, run_write_errors
 from model.runs.run_files import WEIGHTS as WEIGHTS
 from model.runs.runs_in_store import bring_run, find_in_store
+
+_REMEDY: Final = "copy it again, or train the run again"
 
 
 def create_run(
@@ -255,8 +257,7 @@ def load_weights(folder: Path, network: PictureNetwork) -> AnswerScale:
     """Load the run's weights, as learnt, into `network`. Returns the scale of the run's answers. Raises RunError
     if the weights are damaged, or do not fit."""
     path = weights_path(folder)
-    remedy = "copy it again, or train the run again"
-    weights, stored = load_checksummed(path, config_folder(folder), network, remedy)
+    weights, stored = load_checksummed(path, config_folder(folder), network, _REMEDY)
     if is_last_weights(folder):
         prefix = "averaged." if any(name.startswith("averaged.") for name in weights) else "network."
         weights = {name.removeprefix(prefix): weights[name] for name in weights if name.startswith(prefix)}
@@ -274,7 +275,7 @@ def load_answer_scale(folder: Path) -> AnswerScale:
         with safe_open(path, framework="pt") as file:
             return _answer_scale(file.metadata() or {}, path)
     except (OSError, SafetensorError) as error:
-        raise RunError(f"{path}: cannot be read ({error}); copy it again, or train the run again") from None
+        raise RunError(f"{path}: cannot be read ({error}); {_REMEDY}") from None
 
 
 def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
@@ -285,4 +286,4 @@ def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
     try:
         return AnswerScale.from_metadata(stored)
     except ValueError as error:
-        raise RunError(f"{path}: damaged: {error}; copy it again, or train the run again") from None
+        raise RunError(f"{path}: damaged: {error}; {_REMEDY}") from None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.car import Camera
+from common.stretches import within
 from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
 from recorder.log.tags import EXCLUDE, read_tags
@@ -70,10 +71,8 @@ def log_episodes(
     """
     states = States.of(log.vehicle())
     name = log.path.name
-    is_excluded = np.zeros(len(states.row), np.bool_)
-    for tag in read_tags(log.path, log.fingerprint):
-        if tag.name == EXCLUDE:
-            is_excluded |= (states.row >= tag.first_row) & (states.row <= tag.last_row)
+    excluded = [tag for tag in read_tags(log.path, log.fingerprint) if tag.name == EXCLUDE]
+    is_excluded = within(states.row, [(tag.first_row, tag.last_row) for tag in excluded])
     taken = ~is_excluded
     if chosen is not None:
         taken &= np.isin(states.row, chosen.row)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.progress import progress_bar
-from common.stretches import stretches
+from common.stretches import stretches, within
 from recorder.rows.odd_stretches import OddStretch, stretch_of
 from recorder.rows.row_quality import STANDING_MPH, States, Values, elapsed_s
 from recorder.seen.far_field import WIDTH_PX, CenterPictures, FarField, PictureLog, rows_apart
@@ -73,9 +73,7 @@ def _direction(
 ) -> Callable[[int, int], float] | None:
     """A function for the growth between two rows; None if the session's pictures do not show its direction."""
     pictures = CenterPictures(log, states)
-    is_odd = np.zeros(len(states.row), np.bool_)
-    for stretch in odd:
-        is_odd |= (states.row >= stretch.first_row) & (states.row <= stretch.last_row)
+    is_odd = within(states.row, [(stretch.first_row, stretch.last_row) for stretch in odd])
     drives = np.flatnonzero(~is_odd & (np.abs(states.speed_mph) >= STANDING_MPH))
     controls = list[float]()
     for first in np.unique(drives[np.linspace(0, len(drives) - 1, _CONTROLS).astype(int)] if len(drives) else []):

@@ -69,14 +69,17 @@ def with_hole(path: Path) -> Path:
 # Pipes
 
 
-@pytest.fixture
-def pipe(tmp_path: Path) -> Path:
+def make_pipe(path: Path) -> Path:
     """A pipe that nobody writes to: whoever opens it as a file waits for ever."""
     if not hasattr(os, "mkfifo"):
         pytest.skip("pipes were not tried: this system has none among its files")
-    path = tmp_path / "pipe.mcap"
     os.mkfifo(path)
     return path
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
+    return make_pipe(tmp_path / "pipe.mcap")
 
 
 def test_a_pipe_is_no_log(pipe: Path) -> None:
@@ -91,7 +94,7 @@ def test_only_files_are_opened(pipe: Path, read: Callable[[Path], object]) -> No
             read(path)
 
 
-@pytest.mark.parametrize("make", [with_hole, os.mkfifo])
+@pytest.mark.parametrize("make", [with_hole, make_pipe])
 @pytest.mark.parametrize(
     ("name", "read", "empty"),
     [
