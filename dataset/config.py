@@ -17,9 +17,13 @@ CORRECTION_SIGNS: Final[Mapping[Camera, float]] = {"center": 0.0, "left": 1.0, "
 """The cameras that are used by default, and the sign of the side correction in the labels of each."""
 
 Alteration = Literal["blur", "brightness", "shadow"]
-EpochAlteration = Literal["move", "zoom", "turn", "contrast", "brightness", "colours", "shadow", "box", "noise"]
+EpochAlteration = Literal[
+    "move", "zoom", "turn", "contrast", "brightness", "colours", "mix", "shadow", "box", "noise"
+]
 EPOCH_ALTERATIONS: Final[tuple[EpochAlteration, ...]] = get_args(EpochAlteration)
 """The alterations that training may apply to every picture in every epoch."""
+EARLIER_ALTERATIONS: Final = tuple(name for name in EPOCH_ALTERATIONS if name != "mix")
+"""All alterations of version 0.3."""
 Drives = Literal["all", "takeovers"]
 Labels = Literal["auto", "as-recorded"]
 

@@ -35,6 +35,8 @@ _COLOUR: Final = 0.15  # share of each channel
 _SHADE: Final = 0.45, 0.75  # share of the brightness in a shadow
 _BOX: Final = 0.1, 0.4  # share of width and height
 _NOISE: Final = 8.0  # maximum standard deviation, levels
+_MIXED: Final = 0.5  # share of the pictures whose colours are mixed
+_MIN_LIGHT: Final = 0.2
 _PIECES: Final = 1 << 16  # number of pieces of the noise
 
 _DRAWS: Final[dict[EpochAlteration, slice]] = {
@@ -49,6 +51,9 @@ _DRAWS: Final[dict[EpochAlteration, slice]] = {
     "noise": slice(21, 23),
 }
 _MAX_DRAWS: Final = 24  # random values for a sample
+_MIX_DRAWS: Final = slice(0, 11)
+_MIX_STREAM: Final = 1
+"""The mixed colours have a stream of random values of their own: they came in a later version."""
 
 Numbers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -97,6 +102,8 @@ class EpochAlterations:
         """Draw the alterations for the pictures of `samples` (N,), which have this size in px."""
         draws = self._draws(epoch, samples, slice(0, _MAX_DRAWS))
         by_name = {name: draws[:, part] for name, part in _DRAWS.items() if name in self.names}
+        if "mix" in self.names:
+            by_name["mix"] = self._draws(epoch, samples, _MIX_DRAWS, _MIX_STREAM)
         shade, strip = None, np.zeros((len(samples), 4, 2), np.int32)
         if (shadow := by_name.get("shadow")) is not None:
             shade = np.where(shadow[:, 0] < 0, 1, _between(_SHADE, shadow[:, 1]))
@@ -117,21 +124,22 @@ class EpochAlterations:
             piece = _between((0, _PIECES), drawn[:, 1]).astype(np.int64)
         return Drawn(_matrix(by_name, height, width), _colours(by_name), shade, strip, box, noise, piece)
 
-    def _draws(self, epoch: int, samples: Numbers, part: slice) -> Floats:
+    def _draws(self, epoch: int, samples: Numbers, part: slice, stream: int = 0) -> Floats:
         """Random values (N, K) in -1..1. SplitMix64 (Steele et al. 2014) computes any of them directly, without
         the previous ones."""
         counter = samples[:, None].astype(np.uint64) * np.uint64(_MAX_DRAWS)
         counter = counter + np.arange(part.start + 1, part.stop + 1, dtype=np.uint64)
-        mixed = _key(self.seed, epoch) + counter * np.uint64(0x9E3779B97F4A7C15)
+        mixed = _key(self.seed, epoch, stream) + counter * np.uint64(0x9E3779B97F4A7C15)
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         mixed ^= mixed >> np.uint64(31)
         return (mixed >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1
 
 
-@lru_cache(maxsize=4)
-def _key(seed: int, epoch: int) -> np.uint64:
-    return np.uint64(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0])
+@lru_cache(maxsize=8)
+def _key(seed: int, epoch: int, stream: int) -> np.uint64:
+    entropy = (seed, epoch, stream) if stream else (seed, epoch)  # as in the version that had only one
+    return np.uint64(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
 
 
 def _matrix(draws: Mapping[EpochAlteration, Floats], height: int, width: int) -> Floats | None:
@@ -154,8 +162,10 @@ def _matrix(draws: Mapping[EpochAlteration, Floats], height: int, width: int) ->
 
 
 def _colours(draws: Mapping[EpochAlteration, Floats]) -> Floats | None:
-    """The matrices (N, 3, 4) that change the contrast around middle grey, the brightness, and each colour."""
-    count = max((len(draws[name]) for name in ("contrast", "brightness", "colours") if name in draws), default=0)
+    """The matrices (N, 3, 4) that change the contrast around middle grey, the brightness, and each colour, and
+    then mix the colours."""
+    names: tuple[EpochAlteration, ...] = ("contrast", "brightness", "colours", "mix")
+    count = max((len(draws[name]) for name in names if name in draws), default=0)
     if not count:
         return None
     none = np.zeros((count, 1))
@@ -163,7 +173,22 @@ def _colours(draws: Mapping[EpochAlteration, Floats]) -> Floats | None:
     colours = np.zeros((count, 3, 4))
     colours[:, (0, 1, 2), (0, 1, 2)] = contrast * (1 + _COLOUR * draws.get("colours", none))
     colours[:, :, 3] = _MIDDLE * (1 - contrast) + _BRIGHTNESS * draws.get("brightness", none)
+    if "mix" in draws:
+        mix = _mix(draws["mix"])
+        colours = mix @ colours
+        colours[:, :, 3] += _MIDDLE * (1 - mix.sum(axis=2))
     return colours
+
+
+def _mix(draws: Floats) -> Floats:
+    """The matrices (N, 3, 3) that replace a random part of each colour by random shares of all three. About as
+    many colours become negatives. On average, a grey picture keeps its contrast."""
+    shares = draws[:, 2:].reshape(-1, 3, 3)
+    light = np.sqrt(np.mean(shares.sum(axis=2) ** 2, axis=1))
+    shares = shares / np.maximum(light, _MIN_LIGHT)[:, None, None]
+    part = np.where(draws[:, 0] < 2 * _MIXED - 1, _between((0, 1), draws[:, 1]), 0)[:, None, None]
+    mix: Floats = (1 - part) * np.eye(3) + part * shares
+    return mix
 
 
 def _alter(picture: Image, drawn: Drawn, number: int) -> None:

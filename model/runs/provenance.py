@@ -16,6 +16,7 @@ from common.store_record import cached_from
 from common.stored_settings import settings_from
 from common.versions import TOOLKIT, version_of
 from dataset import Samples
+from dataset.config import EARLIER_ALTERATIONS
 from model.config import TrainConfig
 from model.device import Machine
 from model.errors import RunError
@@ -93,8 +94,12 @@ def machine_settings(machine: Machine) -> dict[str, Any]:
 
 def training_of(stored: dict[str, Any], run: Path) -> TrainConfig:
     """The settings in a run's config. Raises RunError if they cannot be used."""
+    settings: Any = stored.get("training")
+    match settings:
+        case {"alter_each_epoch": ["all"]} if "light" not in settings:  # version 0.3
+            settings = {**settings, "alter_each_epoch": list(EARLIER_ALTERATIONS)}
     try:
-        return settings_from(TrainConfig, stored.get("training"))
+        return settings_from(TrainConfig, settings)
     except ValueError as error:
         raise RunError(f"{run / CONFIG}: its training settings cannot be used ({error})") from None
 

@@ -44,9 +44,10 @@ class AlteredOnDevice:
             grid = functional.affine_grid(self._theta[part], list(altered.shape), align_corners=False)
             altered = functional.grid_sample(altered, grid, padding_mode="border", align_corners=False)
         if self._colours is not None:
-            colours = self._colours[part]
-            gain, bias = colours.diagonal(dim1=1, dim2=2), colours[:, :, 3]
-            altered = (altered * gain[:, :, None, None] + bias[:, :, None, None]).clamp(0, 255)
+            colours = self._colours[part][:, :, :, None, None]
+            # not as a product of matrices, which a GPU would round to TensorFloat-32
+            shares = (colours[:, :, colour] * altered[:, colour, None] for colour in range(3))
+            altered = sum(shares, start=colours[:, :, 3]).clamp(0, 255)
         if self._shade is not None:
             top_left, top_right, bottom_right, bottom_left = self._strip[part].T[:, :, None, None]
             down = self._row / max(1, height - 1)

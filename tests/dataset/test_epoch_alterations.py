@@ -117,6 +117,13 @@ def test_draws_are_those_of_splitmix64() -> None:
     assert label == pytest.approx(0.0075 * columns, abs=1e-7)
 
 
+def test_mixed_colours_change_no_draw_of_version_0_3() -> None:
+    names = [name for name in EPOCH_ALTERATIONS if name != "mix"]
+    earlier, today = (alterations_of(*some).draw(3, SAMPLES, 64, 64) for some in (names, EPOCH_ALTERATIONS))
+    for name in ("matrix", "shade", "strip", "box", "noise", "piece"):
+        assert (np.asarray(getattr(earlier, name)) == np.asarray(getattr(today, name))).all()
+
+
 # Nothing else is altered
 
 
@@ -225,6 +232,19 @@ def test_contrast_keeps_the_middle_brightness_adds_colours_are_apart() -> None:
     colours = altered(grey(100), "colours")[:, 0, 0].astype(float)
     assert (colours.min(), colours.max()) == pytest.approx((85, 115), abs=1)
     assert np.abs(np.corrcoef(colours.T) - np.eye(3)).max() < 0.2
+
+
+def test_half_of_the_pictures_have_mixed_colours_around_middle_grey() -> None:
+    assert np.abs(altered(grey(128), "mix").astype(int) - 128).max() <= 1
+    lighter = altered(grey(148), "mix")[:, 0, 0].astype(int) - 128
+    is_mixed = (np.abs(lighter - 20) > 1).any(axis=1)
+    assert 0.4 * COUNT < is_mixed.sum() < 0.6 * COUNT
+    assert 0.1 < (lighter[is_mixed] < 0).mean() < 0.4  # negatives
+    red = grey(128)
+    red[:, :, 2] = 168
+    blue = altered(red, "mix")[:, 0, 0, 0].astype(int) - 128
+    assert (np.abs(blue[is_mixed]) > 1).mean() > 0.7
+    assert (blue[~is_mixed] == 0).mean() > 0.9
 
 
 def test_half_of_the_pictures_have_a_shadow_from_edge_to_edge() -> None:

@@ -4,6 +4,7 @@ test_resume.py."""
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from model import RunError, TrainConfig, train
 from model.cli import main
 from model.evaluation.evaluate import evaluate
 from model.runs.history import read_epochs
+from model.runs.provenance import training_of
 from toy import SMALL
 from udacity import call
 
@@ -79,6 +81,16 @@ def test_the_command_keeps_it_and_like_and_resume_repeat_it(
     capsys.readouterr()
     assert call(main, "--resume", "first", "--epochs", 3, "--alter-each-epoch", "all", *places) == 1
     assert "began with --alter-each-epoch" in capsys.readouterr().err
+
+
+def test_all_of_version_0_3_are_those_it_had(index: Path, whole: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(whole, tmp_path / "earlier")
+    config = json.loads((run / "config.json").read_text())
+    del config["training"]["light"]
+    (run / "config.json").write_text(json.dumps(config))
+    settings = training_of(config, run)
+    assert settings.epoch_alterations == tuple(name for name in EPOCH_ALTERATIONS if name != "mix")
+    assert settings.light == "as-seen"
 
 
 @pytest.mark.parametrize("names", [("all", "move"), ("none", "move"), ("move", "move")])
