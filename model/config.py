@@ -15,6 +15,7 @@ from model.network.names import check_network_name
 Device = Literal["auto", "cpu", "cuda"]
 Precision = Literal["auto", "float32", "bfloat16"]
 Answers = Literal["natural", "as-learnt"]
+Light = Literal["standardized", "as-seen"]
 Keep = Literal["last", "driving-error", "balanced-rmse", "rmse"]
 
 _RANGES: Final = {
@@ -39,13 +40,14 @@ class TrainConfig:
         "answers": "as-learnt",
         "keep": "balanced-rmse",
         "alter_each_epoch": ("none",),
+        "light": "as-seen",
     }
     """Settings of the original project. Earlier versions of the toolkit trained with them and did not store
     them."""
 
     RARE: ClassVar[str] = (
         "network_args target_weights picture_px crop_rows channels average_steps"
-        " answers keep dropout precision micro_batch threads picture_memory_mb"
+        " answers keep light dropout precision micro_batch threads picture_memory_mb"
     )
     recipe: Recipe = "altered"
     """Defaults for learning from people, with or without altered pictures, or the original project's."""
@@ -65,6 +67,8 @@ class TrainConfig:
     """Colour order of the network's picture."""
     alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("all",)
     """Random changes to every picture in every epoch: all, or some."""
+    light: Light = "standardized"
+    """Brightness and contrast of pictures: the same in all, or as seen."""
     epochs: int = 10
     """Passes over the balanced samples."""
     batch: int = 256
@@ -100,7 +104,7 @@ class TrainConfig:
         if recipe == "original":
             return cls(**cls.EARLIER)
         if recipe == "people":
-            return cls(recipe=recipe, keep="driving-error", alter_each_epoch=("none",))
+            return cls(recipe=recipe, keep="driving-error", alter_each_epoch=("none",), light="as-seen")
         return cls()
 
     def __post_init__(self) -> None:

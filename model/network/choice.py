@@ -150,7 +150,8 @@ def choose_network(config: TrainConfig) -> NetworkChoice:
         code = load_code(config.network)
         choice = NetworkChoice(code.label, arguments, code.make, code)
     else:
-        choice = built_in(config.network, arguments)
+        standardized = {"standardized": True} if config.light == "standardized" else {}
+        choice = built_in(config.network, {**standardized, **arguments})
     choice = replace(choice, outputs=len(config.targets))
     if _takes(choice.make, "dropout"):
         return replace(choice, arguments={"dropout": config.dropout, **arguments})

@@ -20,8 +20,9 @@ class SteeringNetwork(LayerChain):
     """BGR pictures (N, 3, 128, 128), uint8 or float 0..255, to steering (N,): -1 left .. 1 right, unclamped;
     or to targets (N, outputs)."""
 
-    def __init__(self, dropout: float = 0.5, outputs: int = 1) -> None:
+    def __init__(self, dropout: float = 0.5, outputs: int = 1, standardized: bool = False) -> None:
         super().__init__()
+        self.standardized = standardized
 
         def convolution(inputs: int, outputs: int, kernel: int, *, pool: bool) -> list[nn.Module]:
             # Pooling before ReLU gives the same result as after it, for a quarter of the ReLUs.

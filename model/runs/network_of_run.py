@@ -13,6 +13,7 @@ import msgspec
 from common.errors import printable
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName, check_targets
+from model.config import Light
 from model.errors import RunError
 from model.network.names import check_network_name, is_file, is_own
 from model.network.own_code import named_code, named_otherwise
@@ -108,6 +109,12 @@ def network_flag(stored: StoredNetwork, folder: Path) -> str:
     return f"--network {shlex.quote(name)}"
 
 
+def light_of(config: dict[str, Any], folder: Path) -> Light:
+    """The brightness and contrast in which the network of the run in `folder` sees pictures."""
+    is_standardized = stored_network(config, folder).arguments.get("standardized") is True
+    return "standardized" if is_standardized else "as-seen"
+
+
 def is_own_network(config: dict[str, Any]) -> bool:
     """True if a run's config.json names a user's own code as its network."""
     stored = config.get("network")
@@ -131,4 +138,5 @@ def network_settings(config: dict[str, Any], folder: Path) -> dict[str, Any]:
         "picture_px": (picture.width_px, picture.height_px),
         "crop_rows": (picture.crop_top, picture.crop_bottom),
         "channels": picture.channels,
+        "light": light_of(config, folder),
     }

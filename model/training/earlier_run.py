@@ -15,7 +15,13 @@ from model.config import TrainConfig
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.names import is_own
-from model.runs.network_of_run import network_flag, picture_of, stored_network, stored_targets
+from model.runs.network_of_run import (
+    light_of,
+    network_flag,
+    picture_of,
+    stored_network,
+    stored_targets,
+)
 from model.runs.provenance import is_trained_on, training_of
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, WEIGHTS, config_folder, load_config
@@ -107,3 +113,9 @@ def refuse_other_network(
             f"{init}: its network sees {own}, and this one {picture}; give --picture-px {own.width_px}"
             f" {own.height_px} --crop-rows {own.crop_top} {own.crop_bottom} --channels {own.channels}"
         )
+    light, wanted = (
+        light_of(config, folder),
+        "standardized" if network.arguments.get("standardized") else "as-seen",
+    )
+    if light != wanted:
+        raise RunError(f"{init}: its network sees pictures with --light {light}; give this flag")

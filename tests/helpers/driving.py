@@ -182,7 +182,7 @@ def untrained_run(
     """A run whose network was never trained, but steers differently for every picture. Of the speed, it always
     says 10 mph: else the car might stand still."""
     torch.manual_seed(seed)
-    choice = replace(built_in(network, {}), outputs=len(targets))
+    choice = replace(built_in(network, {"standardized": True}), outputs=len(targets))
     made = choice.build()
     for parameter in made.parameters():
         if parameter.dim() > 1:
