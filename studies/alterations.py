@@ -1,14 +1,18 @@
 """Do random alterations in every epoch help? Networks are trained on some people and measured on the others.
 
-python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people all] [--seeds 0 1 2]
+python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people altered] [--seeds 0 1 2]
     [--parts one three drive] [--last] [--table] [--together]
+
+Recipes: "people"; "altered", the default; "as seen" is "altered" with --light as-seen, "not mixed" without mixed
+colours, "0.3" both; "NAME alone" and "all but NAME" have one alteration, and all others.
 
 "one": for each person, a network trained on this person is measured on all others. "three": for each person, a
 network trained on all others is measured on this person. Frames of crashes are left out. Errors are divided by
 those of always predicting the mean of the same frames. "drive": a network trained on half a lap of both built-in
 tracks by the simulated keyboard driver drives full laps. Each result is a file in FOLDER/results. Existing results
 are not computed again, and a stopped training continues. --table only prints.
---last measures the last epoch, not the one with the smallest driving error on the held-out frames.
+--last measures the last epoch, also with "people", which keeps the one with the smallest driving error on the
+held-out frames.
 --together measures the mean answer of the networks of all seeds of "three".
 """
 
@@ -29,7 +33,7 @@ import numpy as np
 import pyarrow as pa
 
 from dataset import IndexConfig, build_index
-from dataset.config import EPOCH_ALTERATIONS
+from dataset.config import EARLIER_ALTERATIONS, EPOCH_ALTERATIONS
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate as drive
 from drive.evaluation.simulator_process import BuiltInSimulator
@@ -38,14 +42,18 @@ from model.evaluation.evaluate import Evaluation, evaluate_runs_on_sessions, eva
 from model.training.trainer import Trained
 
 PEOPLE: Final = TrainConfig.of("people")
-ALL: Final = replace(PEOPLE, alter_each_epoch=("all",))
+ALTERED: Final = TrainConfig()
+NOT_MIXED: Final = replace(ALTERED, alter_each_epoch=EARLIER_ALTERATIONS)
 RECIPES: Final[Mapping[str, TrainConfig]] = {
     "people": PEOPLE,
-    "all": ALL,
-    **{f"{name} alone": replace(PEOPLE, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
+    "altered": ALTERED,
+    "as seen": replace(ALTERED, light="as-seen"),
+    "not mixed": NOT_MIXED,
+    "0.3": replace(NOT_MIXED, light="as-seen"),
+    **{f"{name} alone": replace(ALTERED, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
     **{
         f"all but {name}": replace(
-            PEOPLE, alter_each_epoch=tuple(other for other in EPOCH_ALTERATIONS if other != name)
+            ALTERED, alter_each_epoch=tuple(other for other in EPOCH_ALTERATIONS if other != name)
         )
         for name in EPOCH_ALTERATIONS
     },
@@ -60,7 +68,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("logs", type=Path, nargs="+")
     parser.add_argument("--network", default=TrainConfig.network)
-    parser.add_argument("--recipes", nargs="+", default=["people", "all"], choices=RECIPES)
+    parser.add_argument("--recipes", nargs="+", default=["people", "altered"], choices=RECIPES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--parts", nargs="+", default=["one", "three"], choices=["one", "three", "drive"])
     parser.add_argument("--last", action="store_true")
