@@ -54,7 +54,7 @@ def training(*_: object) -> Iterator[float]:
     """Train the default network on random pictures in memory. Yields samples per second."""
     config = TrainConfig(device="cpu")
     dtype = choose_machine(config).dtype
-    network = SteeringNetwork(config.dropout).train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = SteeringNetwork(config.dropout, standardized=True).train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = Adam(network.parameters(), config.rate)
     pictures = torch.randint(0, 256, (SAMPLES, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
     steering = torch.rand(SAMPLES) * 2 - 1

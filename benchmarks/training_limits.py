@@ -142,7 +142,7 @@ def print_products(_folder: Path) -> None:
     least; in each round, all take turns."""
     config = TrainConfig(device="cpu", threads=1)
     machine = choose_machine(config)
-    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = SteeringNetwork(config.dropout, standardized=True).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
     optimizer, steering = Adam(network.parameters(), config.rate), torch.rand(config.batch) * 2 - 1
     layer_inputs: list[tuple[nn.Module, Tensor]] = []

@@ -71,7 +71,7 @@ def step_alone(folder: Path, config: TrainConfig) -> None:
     """The same steps of the optimizer on equally many random pictures, which are in memory."""
     count = len(_samples(folder))
     machine = choose_machine(config)
-    network = SteeringNetwork(config.dropout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = SteeringNetwork(config.dropout, standardized=True).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = Adam(network.parameters(), config.rate)
     pictures = torch.randint(0, 256, (count, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)
     steering = torch.rand(count) * 2 - 1

@@ -8,7 +8,8 @@ from typing import Final, Literal, get_args
 
 Recipe = Literal["altered", "people", "original"]
 """people: best for recordings of people (docs/studies/learning-from-people.md); altered: as `people`, with new
-random alterations of the pictures in every epoch; original: the settings of the original implementation."""
+random alterations of the pictures in every epoch, all in the same light, and the last epoch; original: the
+settings of the original implementation."""
 
 IndexRecipe = Literal["people", "original"]
 """`altered` and `people` learn from the same index."""

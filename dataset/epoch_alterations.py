@@ -181,8 +181,8 @@ def _colours(draws: Mapping[EpochAlteration, Floats]) -> Floats | None:
 
 
 def _mix(draws: Floats) -> Floats:
-    """The matrices (N, 3, 3) that replace a random part of each colour by random shares of all three. About as
-    many colours become negatives. On average, a grey picture keeps its contrast."""
+    """The matrices (N, 3, 3) that replace a random part of the colours by random shares of all three colours. A
+    share may be negative; all together keep about the contrast of grey."""
     shares = draws[:, 2:].reshape(-1, 3, 3)
     light = np.sqrt(np.mean(shares.sum(axis=2) ** 2, axis=1))
     shares = shares / np.maximum(light, _MIN_LIGHT)[:, None, None]

@@ -188,7 +188,7 @@ def _network_flag(run: Path) -> str:
 
 def _listeners(config: Train, run: Path) -> list[Listener]:
     """The listeners of a training. Raises UserError if a package that one of them needs is not installed."""
-    listeners: list[Listener] = [EpochPrinter()]
+    listeners: list[Listener] = [EpochPrinter(config.config.keep)]
     if config.tensorboard:
         from model.training.tensorboard import TensorBoard
 

@@ -68,7 +68,7 @@ class TrainConfig:
     alter_each_epoch: tuple[EpochAlteration | Literal["all", "none"], ...] = ("all",)
     """Random changes to every picture in every epoch: all, or some."""
     light: Light = "standardized"
-    """Brightness and contrast of pictures: the same in all, or as seen."""
+    """Brightness and contrast of pictures: the same in all, or as seen. Your own network sees them as they are."""
     epochs: int = 10
     """Passes over the balanced samples."""
     batch: int = 256

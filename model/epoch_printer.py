@@ -8,14 +8,17 @@ from common.errors import counted, decimal
 from common.output import print_result
 
 if TYPE_CHECKING:
+    from model.config import Keep
     from model.runs.training_progress import Epoch, Step
 
 
 class EpochPrinter:
     """Prints one line an epoch on stdout; before the first one, the errors of constant predictors."""
 
-    def __init__(self) -> None:
+    def __init__(self, keep: Keep) -> None:
+        """`keep` is how the training chooses the epoch that it keeps."""
         self._has_begun = False
+        self._chooses = keep != "last"
 
     def step(self, step: Step) -> None:
         """Print nothing: the progress bar shows steps."""
@@ -37,7 +40,7 @@ class EpochPrinter:
         )
         print_result(
             f"epoch {epoch.epoch:>2}: loss {decimal(epoch.training_loss, 4)},{validation}"
-            f" {epoch.samples_per_s:,.0f} samples/s{', kept' if epoch.is_best else ''}"
+            f" {epoch.samples_per_s:,.0f} samples/s{', kept' if self._chooses and epoch.is_best else ''}"
         )
         for target in epoch.targets:
             if target.frames:

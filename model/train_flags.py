@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -81,13 +81,15 @@ def refuse_contradictions(config: Train) -> None:
 
 
 def defaults() -> Train:
-    """The defaults of the flags: with --resume or --like, the settings and places of that run.
+    """The defaults of the flags: with --resume or --like, the settings and places of that run; with --init, its
+    light.
 
     Raises UsageError for --like with another --recipe: the recipe would change no setting.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--resume")
     parser.add_argument("--like")
+    parser.add_argument("--init")
     parser.add_argument("--runs", type=location, default=RUNS)
     parser.add_argument("--network")
     parser.add_argument("--index")
@@ -123,4 +125,12 @@ def defaults() -> Train:
                 sessions=flags.sessions or sessions_of(run) or Train.sessions,
                 config=settings,
             )
+        settings = TrainConfig.of(recipe_given())
+        if flags.init:
+            from model.runs.network_of_run import light_of
+            from model.runs.run_folder import find_run, load_config
+
+            init = find_run(flags.init, runs)
+            settings = replace(settings, light=light_of(load_config(init), init))
+        return Train(config=settings)
     return Train(config=TrainConfig.of(recipe_given()))

@@ -4,7 +4,7 @@ python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipe
     [--parts one three drive] [--last] [--table] [--together]
 
 Recipes: "people"; "altered", the default; "as seen" is "altered" with --light as-seen, "not mixed" without mixed
-colours, "0.3" both; "NAME alone" and "all but NAME" have one alteration, and all others.
+colours, "neither" both; "NAME alone" and "all but NAME" have one alteration, and all others.
 
 "one": for each person, a network trained on this person is measured on all others. "three": for each person, a
 network trained on all others is measured on this person. Frames of crashes are left out. Errors are divided by
@@ -49,7 +49,7 @@ RECIPES: Final[Mapping[str, TrainConfig]] = {
     "altered": ALTERED,
     "as seen": replace(ALTERED, light="as-seen"),
     "not mixed": NOT_MIXED,
-    "0.3": replace(NOT_MIXED, light="as-seen"),
+    "neither": replace(NOT_MIXED, light="as-seen"),
     **{f"{name} alone": replace(ALTERED, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
     **{
         f"all but {name}": replace(

@@ -154,7 +154,7 @@ def choose_network(config: TrainConfig) -> NetworkChoice:
         choice = built_in(config.network, {**standardized, **arguments})
     choice = replace(choice, outputs=len(config.targets))
     if _takes(choice.make, "dropout"):
-        return replace(choice, arguments={"dropout": config.dropout, **arguments})
+        return replace(choice, arguments={"dropout": config.dropout, **choice.arguments})
     if config.dropout not in (0.0, TrainConfig.dropout):
         raise UsageError(
             f"--dropout {config.dropout:g}: the network {printable(choice.name)} has none; leave it out"

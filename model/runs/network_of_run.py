@@ -111,7 +111,8 @@ def network_flag(stored: StoredNetwork, folder: Path) -> str:
 
 def light_of(config: dict[str, Any], folder: Path) -> Light:
     """The brightness and contrast in which the network of the run in `folder` sees pictures."""
-    is_standardized = stored_network(config, folder).arguments.get("standardized") is True
+    network = stored_network(config, folder)
+    is_standardized = not is_own(network.name) and network.arguments.get("standardized")
     return "standardized" if is_standardized else "as-seen"
 
 

@@ -23,7 +23,7 @@ def export_once(
     weights that are all zero."""
     weights = {f"network.{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
     written = [name for name, values in weights.items() if values.any()]
-    layers = (*map(type, network.modules()), repr(network), network.natural, *written)
+    layers = (*map(type, network.modules()), repr(network), network.standardized, network.natural, *written)
     key = (layers, picture, *targets, of_camera)
     if key not in _made:
         _made[key] = export(network, picture, targets, of_camera).SerializeToString()

@@ -15,6 +15,8 @@ from torch import Tensor
 from model import TrainConfig, load_pilot, train
 from model.cli import main
 from model.config import Light
+from model.network.choice import choose_network
+from model.network.names import BUILT_IN
 from model.network.picture_network import standardized
 from model.network.small import SmallNetwork
 from model.runs.run_folder import load_network
@@ -76,20 +78,22 @@ def test_versions_without_it_refuse_the_run(runs: Path) -> None:
     assert [network["arguments"] for network in stored] == [{"standardized": True}, {}]
 
 
-@pytest.mark.parametrize(
-    ("init", "flags"),
-    [("standardized", ["--recipe", "people"]), ("as-seen", [])],
-)
-def test_weights_of_the_other_kind_are_refused_with_the_flag(
-    runs: Path,
-    index: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    init: str,
-    flags: list[str],
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_built_in_network_has_it(name: str) -> None:
+    for light in LIGHTS:
+        network = choose_network(TrainConfig(network=name, light=light)).build()
+        assert network.standardized == (light == "standardized")
+
+
+@pytest.mark.parametrize(("light", "recipe"), [("standardized", "people"), ("as-seen", "altered")])
+def test_a_training_sees_as_the_run_from_which_it_starts(
+    runs: Path, index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], light: Light, recipe: str
 ) -> None:
-    places = ["--index", index, "--runs", tmp_path]
-    common = ["--init", runs / init, "--network", "small", "--epochs", 1, "--threads", 1, "--batch", 6]
-    assert call(main, "--name", "other", *common, *flags, *places) == 1
-    assert f"--light {init}; give this flag" in capsys.readouterr().err
-    assert call(main, "--name", "same", *common, *flags, "--light", init, *places) == 0
+    flags = ["--recipe", recipe, "--network", "small", "--epochs", 1, "--threads", 1, "--batch", 6]
+    line = ["--init", runs / light, *flags, "--index", index, "--runs", tmp_path]
+    assert call(main, "--name", "next", *line) == 0
+    assert load_network(tmp_path / "next").standardized == (light == "standardized")
+    [other] = set(LIGHTS) - {light}
+    capsys.readouterr()
+    assert call(main, "--name", "other", *line, "--light", other) == 1
+    assert f"its network sees pictures with --light {light}; give this flag" in capsys.readouterr().err

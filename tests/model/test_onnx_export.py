@@ -121,13 +121,13 @@ def test_it_steers_as_the_pilot_does_where_nothing_else_is_installed(
     jpegs = pictures(tmp_path)
     expected = as_the_pilot_steers(trained, jpegs)
     assert np.std(expected) > 1e-2  # the pictures differ, and so must their steering
-    assert as_others_steer(BY_HAND, exported, *jpegs) == pytest.approx(expected, abs=1e-4)
+    assert as_others_steer(BY_HAND, exported, *jpegs) == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_example_in_its_metadata_runs_as_it_is(trained: Path, exported: Path, tmp_path: Path) -> None:
     larger = pictures(tmp_path)[-1]
     expected = as_the_pilot_steers(trained, [larger])
-    assert as_others_steer(metadata(exported)["example"], exported, larger) == pytest.approx(expected, abs=1e-4)
+    assert as_others_steer(metadata(exported)["example"], exported, larger) == pytest.approx(expected, abs=1e-5)
 
 
 def test_pictures_go_in_as_opencv_has_them_and_one_steering_comes_out(exported: Path) -> None:
@@ -189,7 +189,7 @@ def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
     shown = textwrap.dedent("\n".join(code)).replace("picture.jpg", picture.as_posix())
     shown = shown.replace("runs/first/first.onnx", (copy / "first.onnx").as_posix())
     assert heading == "to run it with only onnxruntime and opencv-python-headless:"
-    assert as_others_steer(shown) == pytest.approx(as_the_pilot_steers(trained, [picture]), abs=1e-4)
+    assert as_others_steer(shown) == pytest.approx(as_the_pilot_steers(trained, [picture]), abs=1e-5)
 
 
 OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in ("pilotnet", "small", "resnet18")]

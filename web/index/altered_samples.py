@@ -50,7 +50,7 @@ class AlteredSamples(msgspec.Struct, frozen=True):
 def altered_samples(index: Location, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
     """`SHOWN` training samples of an index of this version; another number `others` gives others. Raises UserError
     if the index or its logs cannot be read."""
-    key = f"altered 4 {absolute(index)} {version} {others}"
+    key = f"altered 5 {absolute(index)} {version} {others}"
     return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
 
