@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from model import Epoch, TrainConfig, train
+from model.cli import main
 from model.config import Keep
 from toy import SMALL
+from udacity import call
 
 
 @pytest.mark.parametrize("seed", [3, 7])  # of the one, driving-error is least in another epoch; of the other, rmse
@@ -41,3 +43,12 @@ def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
 def test_the_last_epoch_and_patience_do_not_go_together() -> None:
     with pytest.raises(ValueError, match="--patience 3: not with --keep last"):
         TrainConfig(keep="last", patience=3)
+
+
+@pytest.mark.parametrize(("keep", "marked"), [("last", 0), ("driving-error", 1)])
+def test_an_epoch_is_marked_only_if_one_is_chosen(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], keep: str, marked: int
+) -> None:
+    flags = ["--network", "small", "--epochs", 1, "--batch", 6, "--threads", 1, "--keep", keep]
+    assert call(main, "--name", "run", "--index", index, "--runs", tmp_path, *flags) == 0
+    assert capsys.readouterr().out.count("samples/s, kept") == marked
