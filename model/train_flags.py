@@ -127,10 +127,12 @@ def defaults() -> Train:
             )
         settings = TrainConfig.of(recipe_given())
         if flags.init:
+            from model.errors import RunError
             from model.runs.network_of_run import light_of
             from model.runs.run_folder import find_run, load_config
 
-            init = find_run(flags.init, runs)
-            settings = replace(settings, light=light_of(load_config(init), init))
+            with contextlib.suppress(RunError):  # the command reports it, after other mistakes in its flags
+                init = find_run(flags.init, runs)
+                settings = replace(settings, light=light_of(load_config(init), init))
         return Train(config=settings)
     return Train(config=TrainConfig.of(recipe_given()))
