@@ -113,9 +113,6 @@ def refuse_other_network(
             f"{init}: its network sees {own}, and this one {picture}; give --picture-px {own.width_px}"
             f" {own.height_px} --crop-rows {own.crop_top} {own.crop_bottom} --channels {own.channels}"
         )
-    light, wanted = (
-        light_of(config, folder),
-        "standardized" if network.arguments.get("standardized") else "as-seen",
-    )
-    if light != wanted:
+    light = light_of(config, folder)
+    if light != light_of({"network": network.description}, folder):
         raise RunError(f"{init}: its network sees pictures with --light {light}; give this flag")

@@ -97,3 +97,17 @@ def test_a_training_sees_as_the_run_from_which_it_starts(
     capsys.readouterr()
     assert call(main, "--name", "other", *line, "--light", other) == 1
     assert f"its network sees pictures with --light {light}; give this flag" in capsys.readouterr().err
+
+
+def test_an_own_network_may_name_an_argument_as_the_toolkit_does(index: Path, tmp_path: Path) -> None:
+    code = tmp_path / "net.py"
+    code.write_text(
+        "from torch import nn\n\n"
+        "class Net(nn.Sequential):\n"
+        "    def __init__(self, standardized=False):\n"
+        "        super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, 1))\n"
+    )
+    flags = ["--network", f"{code}:Net", "--network-args", "standardized=true", "--epochs", 1, "--threads", 1]
+    line = [*flags, "--batch", 6, "--index", index, "--runs", tmp_path]
+    assert call(main, "--name", "first", *line) == 0
+    assert call(main, "--name", "next", "--init", tmp_path / "first", *line) == 0
