@@ -185,7 +185,11 @@ def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: 
         (["--picture-px", 0, 20], "--picture-px and --crop-rows: expected pictures of 8 to 1,024 px", 2),
         (["--crop-rows", 100, 60], "fewer than 160 rows can be cut off", 2),
         (["--network", "small", "--dropout", 0.3], "--dropout 0.3: the network small has none", 2),
-        (["--network", "small", "--network-args", "width=3"], "width=3) fails (TypeError", 1),
+        (
+            ["--network", "small", "--network-args", "width=3"],
+            "small(standardized=True, width=3) fails (TypeError",
+            1,
+        ),
         (["--network-args", "3"], "--network-args 3: expected NAME=VALUE", 2),
     ],
 )

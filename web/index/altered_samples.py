@@ -104,5 +104,7 @@ def _jpegs(
 
 
 def _jpeg(picture: Any) -> bytes:
-    ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    # each pixel keeps its own colour: mixed colours would run into each other
+    sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+    ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95, *sampling])
     return encoded.tobytes() if ok else b""
