@@ -36,7 +36,7 @@ _SHADE: Final = 0.45, 0.75  # share of the brightness in a shadow
 _BOX: Final = 0.1, 0.4  # share of width and height
 _NOISE: Final = 8.0  # maximum standard deviation, levels
 _MIXED: Final = 0.5  # share of the pictures whose colours are mixed
-_MIN_LIGHT: Final = 0.2
+_MIN_LIGHT: Final = 0.2  # of mixed grey, before it is scaled to its old contrast
 _PIECES: Final = 1 << 16  # number of pieces of the noise
 
 _DRAWS: Final[dict[EpochAlteration, slice]] = {

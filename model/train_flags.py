@@ -94,6 +94,7 @@ def defaults() -> Train:
     parser.add_argument("--network")
     parser.add_argument("--index")
     parser.add_argument("--sessions", type=location)
+    settings = TrainConfig.of(recipe_given())
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
         flags, _ = parser.parse_known_args()
         name, runs = flags.resume if flags.resume is not None else flags.like, flags.runs
@@ -125,7 +126,6 @@ def defaults() -> Train:
                 sessions=flags.sessions or sessions_of(run) or Train.sessions,
                 config=settings,
             )
-        settings = TrainConfig.of(recipe_given())
         if flags.init:
             from model.errors import RunError
             from model.runs.network_of_run import light_of
@@ -134,5 +134,4 @@ def defaults() -> Train:
             with contextlib.suppress(RunError):  # the command reports it, after other mistakes in its flags
                 init = find_run(flags.init, runs)
                 settings = replace(settings, light=light_of(load_config(init), init))
-        return Train(config=settings)
-    return Train(config=TrainConfig.of(recipe_given()))
+    return Train(config=settings)

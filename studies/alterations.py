@@ -3,8 +3,8 @@
 python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people altered] [--seeds 0 1 2]
     [--parts one three drive] [--last] [--table] [--together]
 
-Recipes: "people"; "altered", the default; "as seen" is "altered" with --light as-seen, "not mixed" without mixed
-colours, "neither" both; "NAME alone" and "all but NAME" have one alteration, and all others.
+Recipes: "people"; "altered", the default; "as seen" is "altered" with --light as-seen; "NAME alone" and "all but
+NAME" have one alteration, and all others; "neither" is "all but mix" with --light as-seen.
 
 "one": for each person, a network trained on this person is measured on all others. "three": for each person, a
 network trained on all others is measured on this person. Frames of crashes are left out. Errors are divided by
@@ -43,13 +43,11 @@ from model.training.trainer import Trained
 
 PEOPLE: Final = TrainConfig.of("people")
 ALTERED: Final = TrainConfig()
-NOT_MIXED: Final = replace(ALTERED, alter_each_epoch=EARLIER_ALTERATIONS)
 RECIPES: Final[Mapping[str, TrainConfig]] = {
     "people": PEOPLE,
     "altered": ALTERED,
     "as seen": replace(ALTERED, light="as-seen"),
-    "not mixed": NOT_MIXED,
-    "neither": replace(NOT_MIXED, light="as-seen"),
+    "neither": replace(ALTERED, light="as-seen", alter_each_epoch=EARLIER_ALTERATIONS),
     **{f"{name} alone": replace(ALTERED, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},
     **{
         f"all but {name}": replace(

@@ -21,8 +21,7 @@ class SteeringNetwork(LayerChain):
     or to targets (N, outputs)."""
 
     def __init__(self, dropout: float = 0.5, outputs: int = 1, standardized: bool = False) -> None:
-        super().__init__()
-        self.standardized = standardized
+        super().__init__(standardized)
 
         def convolution(inputs: int, outputs: int, kernel: int, *, pool: bool) -> list[nn.Module]:
             # Pooling before ReLU gives the same result as after it, for a quarter of the ReLUs.

@@ -33,11 +33,14 @@ class PictureNetwork(nn.Module):
     natural: Callable[[Tensor], Tensor] | None = None
     """Converts learnt steering to the network's answer; None during training, and if both are equal."""
 
-    standardized: bool = False
-    """True: each picture and colour is scaled to mean 0 and deviation 1, which removes the light of the day."""
-
     input_dtype = torch.float32
     """The dtype of the layers' inputs. Scaling is always in float32."""
+
+    def __init__(self, standardized: bool = False) -> None:
+        """`standardized` scales each colour of a picture to mean 0 and deviation 1: the light of the day no longer
+        matters."""
+        super().__init__()
+        self.standardized = standardized
 
     def answers(self, inputs: Tensor) -> Tensor:
         """(N, outputs), or (N,) for one output, for pictures (N, 3, height, width) that are scaled to -1..1, or

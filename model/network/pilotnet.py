@@ -19,8 +19,7 @@ class PilotNet(LayerChain):
     PICTURE = PictureSpec(width_px=200, height_px=66, channels="YUV")
 
     def __init__(self, outputs: int = 1, standardized: bool = False) -> None:
-        super().__init__()
-        self.standardized = standardized
+        super().__init__(standardized)
         self.features = nn.Sequential(
             *(nn.Conv2d(3, 24, 5, stride=2), nn.ReLU()),  # 66 x 200 -> 31 x 98
             *(nn.Conv2d(24, 36, 5, stride=2), nn.ReLU()),  # -> 14 x 47

@@ -31,8 +31,7 @@ class ResNet18(PictureNetwork):
     PICTURE = PictureSpec(channels="RGB")
 
     def __init__(self, outputs: int = 1, standardized: bool = False) -> None:
-        super().__init__()
-        self.standardized = standardized
+        super().__init__(standardized)
         self.network = _torchvision_resnet18()(num_classes=outputs)
 
     def answers(self, inputs: Tensor) -> Tensor:

@@ -18,8 +18,7 @@ class SmallNetwork(LayerChain):
     PICTURE = PictureSpec(width_px=96, height_px=48)
 
     def __init__(self, outputs: int = 1, standardized: bool = False) -> None:
-        super().__init__()
-        self.standardized = standardized
+        super().__init__(standardized)
         self.features = nn.Sequential(
             *(nn.Conv2d(3, 16, 5, stride=2), nn.ReLU()),  # 48 x 96 -> 22 x 46
             *(nn.Conv2d(16, 24, 5, stride=2), nn.ReLU()),  # -> 9 x 21
