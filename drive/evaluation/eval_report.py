@@ -93,6 +93,8 @@ def _measures_table(evaluation: Evaluation) -> Table:
         table.add_row(heading, *(_number(shown(getattr(errors, name))) for errors in columns))
     table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in predictors))
     table.add_row("correlation", *(_number(errors.correlation) for errors in predictors.values()))
+    if (reaction := evaluation.reaction_time) is not None and reaction.delay_s > 0:
+        table.add_row(f"{reaction.delay_s:.2f} s later", _number(reaction.correlation), "-", "-")
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"
         table.add_row(

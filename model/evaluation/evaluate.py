@@ -30,6 +30,7 @@ from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steer
 from dataset.preprocessing import Image
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
+from model.evaluation.reaction_time import ReactionTime, reaction_time
 from model.metrics import Errors, Measures, TargetErrors, errors, measure, target_errors
 from model.runs.answer_scale import AnswerScale
 from model.runs.car_of_run import refuse_other_steering
@@ -106,6 +107,10 @@ class Evaluation:
         return errors(learnt, self.frames["recorded"].to_numpy(), self.max_deg)
 
     @cached_property
+    def reaction_time(self) -> ReactionTime | None:
+        return reaction_time(self.frames)
+
+    @cached_property
     def sessions(self) -> dict[str, Measures]:
         """The measures of each session with measured frames."""
         return {session: self._measure(part) for session, part in by_session(self.frames)}
@@ -134,6 +139,7 @@ class Evaluation:
             **whole,
             "answers": asdict(self.answers),
             "as_learnt": without_nan(asdict(self.as_learnt)),
+            "reaction_time": asdict(self.reaction_time) if self.reaction_time else None,
             **({"targets": targets} if targets else {}),
             "crashes": self.crashes,
             "without_crashes": _as_dict(self.without_crashes) if self.without_crashes else None,

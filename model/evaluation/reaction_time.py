@@ -1,0 +1,62 @@
+"""How much later than a network a person steers.
+
+A network answers a picture at once, a person after a reaction time. Therefore the answers of a good network
+correlate better with the steering recorded a little later than with that of the same moment.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from dataset.frames.distinct_rows import by_session
+from model.metrics import errors
+
+DELAYS_S: Final = tuple(round(0.05 * step, 2) for step in range(13))
+"""Up to 0.6 s: published recordings of people have their maximum at 0.2 to 0.3 s."""
+
+MIN_KNOWN: Final = 0.5
+"""The share of frames whose later steering must be known."""
+
+_PAUSE_NS: Final = 1_000_000_000
+"""A longer step between frames is a pause."""
+
+
+@dataclass(frozen=True)
+class ReactionTime:
+    """The delay with the largest correlation between a network's answers and the steering recorded later."""
+
+    delay_s: float
+    correlation: float  # -1..1, at this delay
+
+
+def reaction_time(frames: pa.Table) -> ReactionTime | None:
+    """The reaction time in the frames of an evaluation (columns session, log_time_ns, recorded, predicted); None
+    if the answers or the steering are constant."""
+    sessions = [part.sort_by("log_time_ns") for _, part in by_session(frames)]
+    predicted = np.concatenate([part["predicted"].to_numpy() for part in sessions])
+    delays = []
+    for delay_s in DELAYS_S:
+        later = np.concatenate([_steering_later(part, delay_s) for part in sessions])
+        is_known = np.isfinite(later)
+        if is_known.mean() < MIN_KNOWN:
+            break
+        delays.append(ReactionTime(delay_s, errors(predicted[is_known], later[is_known]).correlation))
+    known = [delay for delay in delays if not math.isnan(delay.correlation)]
+    return max(known, key=lambda delay: delay.correlation, default=None)
+
+
+def _steering_later(frames: pa.Table, delay_s: float) -> NDArray[np.float64]:
+    """The steering `delay_s` seconds after each frame of a session (N,), interpolated linearly between frames; NaN
+    beyond the next pause."""
+    time_ns, recorded = frames["log_time_ns"].to_numpy(), frames["recorded"].to_numpy()
+    later_ns = time_ns + round(delay_s * 1e9)
+    last_ns = np.append(time_ns[:-1][np.diff(time_ns) > _PAUSE_NS], time_ns[-1])  # of each drive
+    return np.where(
+        later_ns <= last_ns[np.searchsorted(last_ns, time_ns)], np.interp(later_ns, time_ns, recorded), np.nan
+    )

@@ -1,0 +1,57 @@
+"""bc-eval says how much later than the network a person steers: a late person is not a bad network."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.typing import NDArray
+
+from model.evaluation.reaction_time import reaction_time
+
+START_NS, STEP_NS = 1_700_000_000_000_000_000, 100_000_000
+PRESSES = np.random.default_rng(0).choice([-0.6, 0.0, 0.0, 0.6], 60).repeat(4)  # each of 0.4 s
+
+
+def frames(predicted: NDArray[np.float64], recorded: NDArray[np.float64], session: str = "a") -> pa.Table:
+    return pa.table(
+        {
+            "session": [session] * len(recorded),
+            "log_time_ns": START_NS + STEP_NS * np.arange(len(recorded)),
+            "recorded": recorded,
+            "predicted": predicted,
+        }
+    )
+
+
+@pytest.mark.parametrize("late", [0, 2, 5])
+def test_a_person_who_steers_late_is_compared_late(late: int) -> None:
+    later = frames(PRESSES[late:], PRESSES[: len(PRESSES) - late])
+    found = reaction_time(later)
+    assert found is not None
+    assert found.delay_s == pytest.approx(0.1 * late)
+    assert found.correlation == pytest.approx(1.0)
+
+
+def test_each_session_is_compared_with_itself() -> None:
+    late = [frames(sign * PRESSES[2:], sign * PRESSES[:-2], name) for name, sign in (("a", 1.0), ("b", -1.0))]
+    mixed = pa.concat_tables(late).take(np.random.default_rng(1).permutation(2 * (len(PRESSES) - 2)))
+    found = reaction_time(mixed)
+    assert found is not None
+    assert (found.delay_s, found.correlation) == pytest.approx((0.2, 1.0))
+
+
+def test_no_steering_is_taken_from_the_next_drive() -> None:
+    """Drives of 0.4 s, each steered constantly: 0.3 s later only their first frames have steering."""
+    table = frames(PRESSES, PRESSES)
+    pause_ns = 5_000_000_000 * (np.arange(len(PRESSES)) // 4)
+    apart = table.set_column(1, "log_time_ns", pa.array(table["log_time_ns"].to_numpy() + pause_ns))
+    found = reaction_time(apart)
+    assert found is not None
+    assert found.delay_s == 0.0
+    assert found.correlation == pytest.approx(1.0)
+
+
+def test_constant_answers_have_no_reaction_time() -> None:
+    assert reaction_time(frames(np.zeros(len(PRESSES)), PRESSES)) is None
+    assert reaction_time(frames(PRESSES, np.zeros(len(PRESSES)))) is None
