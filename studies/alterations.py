@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,6 +30,7 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
+from toolkit_command import output_of
 
 from dataset import IndexConfig, build_index
 from dataset.config import EARLIER_ALTERATIONS, EPOCH_ALTERATIONS
@@ -144,9 +144,8 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int, last: bool) 
     print(result.stem, file=sys.stderr, flush=True)
     for session, track in zip(sessions, ("lake", "mountain"), strict=True):
         if not session.exists():
-            record = ("bc-record", session.stem, "--sessions", session.parent, "--driver", "keyboard")
-            drive_flags = ("--track", track, "--laps", "0.5", "--speed", f"{MPH:g}", "--seed", "1")
-            subprocess.run([*record, *drive_flags], check=True)
+            words = ("--driver", "keyboard", "--track", track, "--laps", 0.5, "--speed", f"{MPH:g}", "--seed", 1)
+            output_of(folder, "bc-record", session.stem, *words)
     trained = trained_on(folder, network, recipe, seed, sessions)
     drives = [(BuiltInSimulator(road), DriveConfig(set_speed_mph=MPH)) for road in ROADS]
     pilot = load_pilot(measured(trained.run, last))

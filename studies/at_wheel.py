@@ -33,8 +33,9 @@ from typing import Any, Final
 import cv2
 import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
-from drive_page import PATIENCE_S, DrivePage, chromium, done, running, wait_for, wheel_of, workbench
+from drive_page import PATIENCE_S, DrivePage, chromium, running, wait_for, wheel_of, workbench
 from scripted_player import Player
+from toolkit_command import output_of
 from websockets.sync.client import ClientConnection, connect
 
 from common.car import CAMERAS
@@ -188,8 +189,8 @@ def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int)
     """Take over from a network at random moments, and hand back. Returns the counts."""
     if run is None:
         progress("training a network to take over from")
-        done(folder, "bc-record", "short", "--track", track, "--laps", "0.05")
-        done(folder, "bc-train", "--name", "short", "--epochs", "1")
+        output_of(folder, "bc-record", "short", "--track", track, "--laps", "0.05")
+        output_of(folder, "bc-train", "--name", "short", "--epochs", "1")
     log, chance = folder / "drives" / "takeovers.mcap", random.Random(seed)
     words = ["--simulator", track, "--laps", "1000", "--takeover", "me", "--no-page", "--viewer", "off"]
     after, held = Counter[str](), 0
@@ -283,7 +284,7 @@ def soak(folder: Path, track: str, minutes: float, seed: int, keep: Path) -> dic
         slope = float(np.polyfit(hours, values, 1)[0]) if len(values) > 2 else 0.0
         result[name] = {"first": values[0], "last": values[-1], "most": max(values), "an hour": round(slope, 1)}
     result["bc-web files after the end"] = after_end
-    result["bc-log check"] = done(folder, "bc-log", "check", log).strip().splitlines()[-1]
+    result["bc-log check"] = output_of(folder, "bc-log", "check", log).strip().splitlines()[-1]
     result["is whole"] = rows in (shown.rows, ended_rows) and set(pictures.values()) == {rows}
     return result | {"samples": samples}
 

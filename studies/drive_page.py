@@ -9,7 +9,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 from playwright.sync_api import Browser, Page, sync_playwright
+from toolkit_command import command_line, environment
 
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
 from simulator.roads.centreline import Centreline, Floats
@@ -45,20 +45,13 @@ SHOWN: Final = """() => {
 T = TypeVar("T")
 
 
-def command(name: str, *words: object) -> list[str]:
-    """A `bc-` command line that works without an installation."""
-    code = f"from behavioural_cloning_toolkit import {name.replace('-', '_')} as main; main()"
-    return [sys.executable, "-c", code, *map(str, words)]
-
-
 @contextlib.contextmanager
 def running(folder: Path, name: str, *words: object) -> Iterator[psutil.Process]:
     """Run a command in `folder` during the block, then end it by Ctrl-C. Its output goes to output/."""
     (folder / "output").mkdir(parents=True, exist_ok=True)
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     with (folder / "output" / f"{name}-{time.time_ns()}.txt").open("w") as output:
-        line = command(name, *words)
-        with subprocess.Popen(line, cwd=folder, env=environment, stdout=output, stderr=output) as started:
+        line = command_line(name, *words)
+        with subprocess.Popen(line, cwd=folder, env=environment(), stdout=output, stderr=output) as started:
             try:
                 yield psutil.Process(started.pid)
             finally:
@@ -68,16 +61,6 @@ def running(folder: Path, name: str, *words: object) -> Iterator[psutil.Process]
                     started.wait(PATIENCE_S)
                 except subprocess.TimeoutExpired:
                     started.kill()
-
-
-def done(folder: Path, name: str, *words: object) -> str:
-    """Run a command to its end. Returns its output. Raises RuntimeError with its errors."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
-    line = command(name, *words)
-    ended = subprocess.run(line, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    if ended.returncode:
-        raise RuntimeError(f"{name} {' '.join(map(str, words))}: {ended.stderr[-2000:]}")
-    return ended.stdout
 
 
 def wait_for(look: Callable[[], T | None], what: str, process: psutil.Process | None = None) -> T:

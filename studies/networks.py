@@ -15,8 +15,6 @@ import argparse
 import json
 import math
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,6 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from toolkit_command import output_of
 
 from common.files import atomic_file
 from dataset import IndexConfig, build_index
@@ -159,8 +158,7 @@ def index_of(folder: Path, sessions: list[Path]) -> Path:
         sessions = [folder / "sessions" / f"{track}.mcap" for track in RECORDED]
         for session in sessions:
             if not session.exists():
-                where = ("--sessions", str(session.parent), "--track", session.stem, "--laps", "0.5")
-                command("bc_record", session.stem, *where)
+                output_of(folder, "bc-record", session.stem, "--track", session.stem, "--laps", 0.5)
     return build_index(sessions, folder / "index", IndexConfig.of("original")).path
 
 
@@ -195,20 +193,12 @@ def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
     """The result of `bc-eval` for a lap, from now or from an earlier call."""
     kept = run / f"drive-{track.replace(':', '-')}-{mph:g}.json"
     if not kept.exists():
-        logs = ("--drives", str(run / "drives"), "--force")
-        output = command("bc_eval", str(run), "--simulator", track, "--speed", f"{mph:g}", *logs, "--json")
+        words = ("--simulator", track, "--speed", f"{mph:g}", "--drives", "drives", "--force", "--json")
+        output = output_of(run, "bc-eval", run.absolute(), *words)
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(output)
     results: dict[str, Any] = json.loads(kept.read_text())
     return results
-
-
-def command(name: str, *arguments: str) -> str:
-    code = f"from behavioural_cloning_toolkit import {name}; {name}()"
-    done = subprocess.run([sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, text=True, check=False)
-    if done.returncode not in (0, 3):
-        raise SystemExit(f"{name} {' '.join(arguments)}: exit code {done.returncode}")
-    return done.stdout
 
 
 if __name__ == "__main__":

@@ -29,8 +29,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from drive_page import DrivePage, chromium, done, running, wheel_of, workbench
+from drive_page import DrivePage, chromium, running, wheel_of, workbench
 from scripted_player import DEVICES, Device, Player, Supervisor
+from toolkit_command import output_of
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
@@ -231,7 +232,7 @@ class Study:
         epochs = EPOCHS_MORE if "--takeovers" in words else quick_epochs(rows)
         self._make_way(run)
         settings = ("--recipe", QUICK_RECIPE, "--name", run, "--seed", seed, "--epochs", epochs)
-        printed = done(self.folder, "bc-train", *settings, *words)
+        printed = output_of(self.folder, "bc-train", *settings, *words)
         return {"epochs": epochs, "printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
@@ -242,7 +243,7 @@ class Study:
 
     def _eval(self, run: str, track: str) -> Result:
         words = ("--simulator", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
-        return dict(json.loads(done(self.folder, "bc-eval", run, *words)))
+        return dict(json.loads(output_of(self.folder, "bc-eval", run, *words)))
 
 
 def make(study: Study, steps: list[Step]) -> int:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import os
 import shutil
 import signal
 import subprocess
@@ -31,6 +30,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import which_number_report as report
+from toolkit_command import command_line, environment
 
 from common.files import atomic_file
 
@@ -132,22 +132,18 @@ class Jobs:
 
     def bc(self, folder: Path, name: str, *arguments: object) -> str:
         """Run a `bc-` command in the folder. Returns its output."""
-        code = f"from behavioural_cloning_toolkit import bc_{name}; bc_{name}()"
-        return self.run(folder, f"bc-{name}", ["-c", code], *arguments)
+        return self.run(folder, " ".join(map(str, (name, *arguments))), command_line(name, *arguments))
 
-    def run(self, folder: Path, name: str, program: Sequence[str], *arguments: object) -> str:
-        """Run Python in the folder with one thread. Returns its output."""
-        words = [str(argument) for argument in arguments]
-        line = f"{name} {' '.join(words)}"
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    def run(self, folder: Path, shown: str, line: Sequence[str | Path]) -> str:
+        """Run a program, printed as `shown`, in the folder with one thread. Returns its output."""
         begin_s = time.monotonic()
         with self._lock:
             if self._is_over:
                 raise SystemExit(1)
             process = subprocess.Popen(
-                [sys.executable, *program, *words],
+                line,
                 cwd=folder,
-                env=environment,
+                env={**environment(), "OMP_NUM_THREADS": "1"},
                 text=True,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -158,8 +154,8 @@ class Jobs:
         with self._lock:
             self._running.discard(process)
         if process.returncode not in (0, 3):
-            raise SystemExit(f"{line}: exit code {process.returncode}\n{errors}")
-        print(f"{time.monotonic() - begin_s:6.1f} s  {line}", file=sys.stderr, flush=True)
+            raise SystemExit(f"{shown}: exit code {process.returncode}\n{errors}")
+        print(f"{time.monotonic() - begin_s:6.1f} s  {shown}", file=sys.stderr, flush=True)
         return str(output)
 
 
@@ -190,7 +186,7 @@ class Study:
             flags = ("--track", track, "--driver", driver, "--laps", RECORDED_LAPS[seed], "--seed", seed)
             # the keyboard driver of a held-out recording is not pushed off the line from time to time
             recovery = ("--recovery", 0) if seed == HELD_OUT_SEED and driver == "keyboard" else ()
-            self.jobs.bc(self.folder, "record", name, *flags, *recovery, "--sessions", "unfinished", "--force")
+            self.jobs.bc(self.folder, "bc-record", name, *flags, *recovery, "--sessions", "unfinished", "--force")
             (self.folder / "unfinished" / log.name).rename(log)
 
     def index(self, name: str) -> None:
@@ -198,7 +194,7 @@ class Study:
         index = self.folder / "indexes" / file_name(name)
         if not (index / "samples.parquet").exists():
             sessions = [session(track, recipe.driver, LEARNT_SEED) for track in KNOWN]
-            self.jobs.bc(self.folder, "index", *sessions, "--index", index, *recipe.index)
+            self.jobs.bc(self.folder, "bc-index", *sessions, "--index", index, *recipe.index)
 
     def train(self, seed: int, name: str) -> list[str]:
         """Train, and copy the network after each of the epochs. Returns the names of the networks."""
@@ -214,11 +210,11 @@ class Study:
         run = self.folder / "runs" / training
         how = ("--epochs", epochs, "--threads", 1, "--device", "cpu")
         if run.exists():
-            self.jobs.bc(self.folder, "train", "--resume", training, *how)
+            self.jobs.bc(self.folder, "bc-train", "--resume", training, *how)
         else:
             index = ("--index", self.folder / "indexes" / file_name(name))
             flags = (*RECIPES[name].train, "--keep", "last", "--seed", seed)
-            self.jobs.bc(self.folder, "train", "--name", training, *index, *flags, *how)
+            self.jobs.bc(self.folder, "bc-train", "--name", training, *index, *flags, *how)
 
     def _take(self, training: str, taken: Path) -> None:
         """Copy a run without its checkpoint."""
@@ -233,7 +229,8 @@ class Study:
         if kept.exists():
             return
         logs = [self.folder / "sessions" / f"{session(*drive)}.mcap" for drive in self.held_out_drives()]
-        self.jobs.run(self.folder, "predict", [str(PREDICT)], self.folder / "networks" / network, kept, *logs)
+        line: list[str | Path] = [sys.executable, PREDICT, self.folder / "networks" / network, kept, *logs]
+        self.jobs.run(self.folder, f"predict {network}", line)
 
     def drive(self, network: str) -> None:
         """Drive the simulator. The logs, 100 MB each, are deleted."""
@@ -243,7 +240,7 @@ class Study:
         with tempfile.TemporaryDirectory(dir=self.folder / "drives") as logs:
             flags = ("--simulator", *DRIVEN, "--laps", self.laps, "--speed", self.speed_mph)
             output = self.jobs.bc(
-                self.folder, "eval", network, "--runs", "networks", *flags, "--drives", logs, "--json"
+                self.folder, "bc-eval", network, "--runs", "networks", *flags, "--drives", logs, "--json"
             )
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(output)
