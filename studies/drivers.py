@@ -1,7 +1,6 @@
 """The simulated keyboard and mouse drivers, compared with recordings of people: a table and a figure.
 
 python studies/drivers.py sessions/lake_windows.mcap sessions/jungle.mcap ... [--figure drivers.png]
-    [--mph 10 15 20] [--laps 1] [--seeds 0 1 2]
 
 The logs are recordings of people (`bc-record NAME --from FOLDER`). Rows below 8 mph are left out, because people
 stand at walls with full lock. The figure compares the first log with the keyboard driver, and the last log with
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from figure_style import BLUE, DPI, ORANGE, figure_style, new_figure
 from numpy.typing import NDArray
+from printed_table import print_head, print_row
 
 from common.car import MAX_STEERING_DEG
 from recorder import Log
@@ -30,7 +30,7 @@ from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import drive_for_recording
 from simulator.driving.simulated_driver import SimulatedDriver, make_driver
 from simulator.driving.vehicle import STEP_S
-from simulator.roads.track import Track, load_track
+from simulator.roads.track import load_track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,6 +39,8 @@ Floats = NDArray[np.float64]
 
 PLACES: Final = {"lake": ["lake"], "mountain": ["mountain"], "random:1 to 3": ["random:1", "random:2", "random:3"]}
 PEOPLE: Final[tuple[DriverName, ...]] = ("keyboard", "mouse")
+SPEEDS_MPH: Final = (10.0, 15.0, 20.0)
+SEEDS: Final = (0, 1, 2)
 SLOWEST_MPH: Final = 8.0
 GAP_S: Final = 0.5  # rows farther apart belong to two drives
 AROUND_S: Final = 0.25  # neighbours of a row are within this time before and after it
@@ -76,29 +78,24 @@ class Presses:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", type=Path, nargs="+")
-    parser.add_argument("--mph", type=float, nargs="+", default=[10.0, 15.0, 20.0])
-    parser.add_argument("--laps", type=float, default=1.0)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--figure", type=Path)
     arguments = parser.parse_args()
     people = [read(path) for path in arguments.logs]
-    print_head()
+    print_head(
+        "steered by", "where", "rows a second", "mean mph", "exactly 0", "presses a minute", "press, s",
+        "its largest, deg", "straight between, s", "values", "spread, deg", "at full lock", "ceiling",
+        "lag, s", "left the road",
+    )  # fmt: skip
     for person in people:
-        print_row("person", person)
+        print_drives("person", person)
     for name in PEOPLE:
         for place, tracks in PLACES.items():
-            for mph in arguments.mph:
+            for mph in SPEEDS_MPH:
                 where = f"{place} at {mph:g} mph"
-                drives = [
-                    drive(name, where, load_track(track), mph, arguments.laps, seed)
-                    for track in tracks
-                    for seed in arguments.seeds
-                ]
-                print_row(name, *drives)
+                print_drives(name, *(drive(name, where, track, mph, seed) for track in tracks for seed in SEEDS))
     if arguments.figure is not None:
-        mph, seed = sorted(arguments.mph)[len(arguments.mph) // 2], arguments.seeds[0]
         shown = [
-            drive(name, f"{track} at {mph:g} mph", load_track(track), mph, arguments.laps, seed)
+            drive(name, f"{track} at 15 mph", track, 15.0, 0)
             for name, track in zip(PEOPLE, ("lake", "mountain"), strict=True)
         ]
         draw(list(zip((people[0], people[-1]), shown, strict=True)), arguments.figure)
@@ -136,9 +133,11 @@ class Watched:
         return int(np.argmax(correlations)) * STEP_S
 
 
-def drive(name: DriverName, where: str, track: Track, mph: float, laps: float, seed: int) -> Drive:
+def drive(name: DriverName, where: str, road: str, mph: float, seed: int) -> Drive:
+    """A lap."""
+    track = load_track(road)
     watched = Watched(make_driver(name, track.line, mph, NOISE, seed), Expert(track.line, mph))
-    steps = list(drive_for_recording(Course(track), watched, laps, recovery_share=0.0, seed=seed))
+    steps = list(drive_for_recording(Course(track), watched, 1.0, recovery_share=0.0, seed=seed))
     rows = [(step.time_s, MAX_STEERING_DEG * step.steering, step.speed_mph) for step in steps]
     time_s, steering_deg, speed_mph = np.array(rows).T
     left_road = sum(step.after_gap for step in steps)
@@ -169,17 +168,7 @@ def ceiling(drive: Drive) -> float:
     return float(np.corrcoef(drive.steering_deg[is_known], neighbours[is_known])[0, 1])
 
 
-def print_head() -> None:
-    columns = (
-        "steered by", "where", "rows a second", "mean mph", "exactly 0", "presses a minute", "press, s",
-        "its largest, deg", "straight between, s", "values", "spread, deg", "at full lock", "ceiling",
-        "lag, s", "left the road",
-    )  # fmt: skip
-    print(f"| {' | '.join(columns)} |")
-    print("|" + "---|" * len(columns))
-
-
-def print_row(who: str, *drives: Drive) -> None:
+def print_drives(who: str, *drives: Drive) -> None:
     """Print a row with the means over drives, and with the quartiles of all their presses."""
     drive_presses = [presses(drive) for drive in drives]
     minutes = sum(len(drive.time_s) * step_s(drive) for drive in drives) / 60
@@ -209,7 +198,7 @@ def print_row(who: str, *drives: Drive) -> None:
         "" if is_person else f"{mean([drive.lag_s for drive in drives]):.2f}",
         "" if is_person else f"{sum(drive.left_road for drive in drives)}",
     )
-    print(f"| {' | '.join(cells)} |", flush=True)
+    print_row(*cells)
 
 
 def draw(pairs: Sequence[tuple[Drive, Drive]], path: Path) -> None:

@@ -1,6 +1,6 @@
 """Speed in the built-in simulator: the expert's at each set speed, and how well a controller follows a target.
 
-python studies/driving_fast.py [--hairpins 20]
+python studies/driving_fast.py
 
 Nothing is rendered: four tables take two or three minutes. The expert steers in all of them.
 
@@ -21,6 +21,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from printed_table import print_head, print_row
 
 from common.car import MPS_PER_MPH
 from drive.control.speed_controller import TARGET_AHEAD_S, SpeedController
@@ -36,6 +37,7 @@ Throttle = Callable[[float, float, float], float]
 
 RATE_S: Final = 0.04
 SPEEDS_MPH: Final = (10.0, 20.0, 30.0)
+HAIRPINS: Final = 20  # roads
 SETTLED_S: Final = 8.0  # after the start at rest
 
 
@@ -49,13 +51,11 @@ class Lap:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hairpins", type=int, default=20, help="number of roads hairpins:0, hairpins:1, ...")
-    hairpins = [load_track(f"hairpins:{seed}") for seed in range(parser.parse_args().hairpins)]
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     roads = {
         "lake": [load_track("lake")],
         "mountain": [load_track("mountain")],
-        f"hairpins ({len(hairpins)})": hairpins,
+        f"hairpins ({HAIRPINS})": [load_track(f"hairpins:{seed}") for seed in range(HAIRPINS)],
     }
     print_experts(roads)
     print_followers(roads)
@@ -197,15 +197,6 @@ def sideways_mps2(steps: Sequence[DriveStep]) -> Floats:
     sound = passed_s < 0.15
     accelerations: Floats = np.abs(np.diff(heading) / passed_s * speed_mps)[sound]
     return accelerations
-
-
-def print_head(*columns: str) -> None:
-    print_row(*columns)
-    print("|" + "---|" * len(columns))
-
-
-def print_row(*cells: str) -> None:
-    print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

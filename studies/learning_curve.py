@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from figure_style import BLUE, ORANGE, figure_style, new_figure
+from printed_table import print_head, print_row
 from toolkit_command import output_of
 
 TRACKS: Final = ("lake", "mountain")
@@ -67,9 +68,8 @@ def measured(folder: Path, rows: dict[str, int], pictures: int) -> dict[str, Any
 
 
 def print_table(points: Sequence[dict[str, Any]]) -> None:
-    of_tracks = " | ".join(f"{track}: interventions | autonomy | largest distance" for track in TRACKS)
-    print(f"| pictures | of a lap | {of_tracks} | RMSE | MAE on turns | correlation |")
-    print("|" + "---|" * (5 + 3 * len(TRACKS)))
+    driven = [f"{track}: {what}" for track in TRACKS for what in ("interventions", "autonomy", "largest distance")]
+    print_head("pictures", "of a lap", *driven, "RMSE", "MAE on turns", "correlation")
     for point in points:
         network = point["offline"]["network"]
         cells = [f"{point['pictures']:,}", " and ".join(f"{share:.0%}" for share in point["shares"])]
@@ -77,7 +77,7 @@ def print_table(points: Sequence[dict[str, Any]]) -> None:
             cells += [str(drive["interventions"]), f"{drive['autonomy_percent']:.1f} %"]
             cells.append(f"{drive['max_offset']:.2f}")
         cells += [f"{network[name]:.2f}" for name in ("rmse_deg", "turning_mae_deg", "correlation")]
-        print(f"| {' | '.join(cells)} |")
+        print_row(*cells)
     print(f"\nAlways the mean: RMSE {points[0]['offline']['mean']['rmse_deg']:.2f} deg.")
 
 

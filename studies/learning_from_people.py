@@ -25,6 +25,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from printed_table import print_head, print_row
+
 from dataset import IndexConfig, build_index
 from model import TrainConfig, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
@@ -137,17 +139,15 @@ def values_of(measures: Measures) -> dict[str, float]:
 
 
 def print_table(results: Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]) -> None:
-    print(f"\n| measured on | recipe | {' | '.join(MEASURED)} |")
-    print("|" + "---|" * (2 + len(MEASURED)))
+    print()
+    print_head("measured on", "recipe", *MEASURED)
     recipes = list(dict.fromkeys(recipe for by_recipe in results.values() for recipe in by_recipe))
     for session, by_recipe in results.items():
         for recipe, seeds in by_recipe.items():
-            print(f"| {session} | {recipe} | {' | '.join(cells(seeds))} |")
+            print_row(session, recipe, *cells(seeds))
     for recipe in recipes:
         seeds = [seed for by_recipe in results.values() for seed in by_recipe.get(recipe, ())]
-        means = {name: [mean(seed[name] for seed in seeds)] for name in MEASURED}
-        print(f"| all | {recipe} | {' | '.join(f'{value[0]:.2f}' for value in means.values())} |")
-    sys.stdout.flush()
+        print_row("all", recipe, *(f"{mean(seed[name] for seed in seeds):.2f}" for name in MEASURED))
 
 
 def cells(seeds: Sequence[Mapping[str, float]]) -> list[str]:

@@ -23,6 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from printed_table import print_head, print_row
 from toolkit_command import output_of
 
 from common.files import atomic_file
@@ -140,12 +141,16 @@ def processor_s(action: Callable[[], object]) -> float:
 
 
 def print_speed(results: dict[str, dict[str, Any]]) -> None:
-    print("| network | it sees | parameters | weights | samples a second | ms a picture | in float32 |")
-    print("|---|---|---|---|---|---|---|")
+    print_head("network", "it sees", "parameters", "weights", "samples a second", "ms a picture", "in float32")
     for name, result in results.items():
-        print(
-            f"| `{name}` | {result['picture']} | {result['parameters']:,} | {result['mb']:.1f} MB"
-            f" | {result['samples_per_cpu_s']:,.0f} | {result['ms']['auto']:.2f} | {result['ms']['float32']:.2f} |"
+        print_row(
+            f"`{name}`",
+            result["picture"],
+            f"{result['parameters']:,}",
+            f"{result['mb']:.1f} MB",
+            f"{result['samples_per_cpu_s']:,.0f}",
+            f"{result['ms']['auto']:.2f}",
+            f"{result['ms']['float32']:.2f}",
         )
 
 

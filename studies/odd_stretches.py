@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from printed_table import print_head, print_row
 
 from recorder import Log
 from recorder.log.road_places import states_of as states_of_log
@@ -69,8 +70,8 @@ class Drive:
     def stand(self) -> None:
         self.course.vehicle = replace(self.course.vehicle, speed_mps=0.0, yaw_rate_radps=0.0)
 
-    def until_it_stands(self, throttle: float, max_s: float = 60.0) -> None:
-        for _ in range(round(max_s * RATE_HZ)):
+    def until_it_stands(self, throttle: float) -> None:
+        for _ in range(60 * RATE_HZ):
             if self.course.vehicle.speed_mph < 0.7:
                 self.stand()
                 return
@@ -175,8 +176,7 @@ def main() -> None:
         print(f"{path.stem}: {'; '.join(map(str, stretches)) or 'nothing'}")
     if logs:
         return
-    print("| drive | faults | found | missed | false rows | of rows |")
-    print("|---|---|---|---|---|---|")
+    print_head("drive", "faults", "found", "missed", "false rows", "of rows")
     results: dict[str, Counter[str]] = {}
     for track_name in TRACKS:
         track = load_track(track_name)
@@ -205,9 +205,7 @@ def main() -> None:
                 count.update(rows=len(states.row), faults=len(places), found=detected, false=false)
     for kind, count in results.items():
         missed = count["faults"] - count["found"]
-        print(
-            f"| {kind} | {count['faults']} | {count['found']} | {missed} | {count['false']} | {count['rows']:,} |"
-        )
+        print_row(kind, count["faults"], count["found"], missed, count["false"], f"{count['rows']:,}")
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drive_page import DrivePage, chromium, running, wheel_of, workbench
+from printed_table import print_head, print_row
 from scripted_player import DEVICES, Device, Player, Supervisor
 from toolkit_command import output_of
 
@@ -285,7 +286,8 @@ def interventions(study: Study, name: str, tracks: tuple[str, ...]) -> list[int 
 
 def print_tables(study: Study) -> None:
     asked = study.asked
-    print(f"\n| device | seed | rows | put back | {' | '.join(DRIVEN)} |\n|{'---|' * (4 + len(DRIVEN))}")
+    print()
+    print_head("device", "seed", "rows", "put back", *DRIVEN)
     for device in asked.devices:
         for seed in asked.seeds:
             name = f"devices {device}-{seed}"
@@ -295,8 +297,8 @@ def print_tables(study: Study) -> None:
                 for what in ("rows", "put back")
             )
             print_row(device, seed, rows, put_back, *interventions(study, name, DRIVEN))
-    heads = ("takeovers", *BEGINNERS_DRIVEN, "all")
-    print(f"\n| seed | network | {' | '.join(heads)} |\n|{'---|' * (2 + len(heads))}")
+    print()
+    print_head("seed", "network", "takeovers", *BEGINNERS_DRIVEN, "all")
     for seed in asked.seeds:
         start = supervision(asked, seed)
         rounds = [study.result(f"{start} supervise {turn}") for turn in (1, 2)]
@@ -313,10 +315,6 @@ def supervision(asked: argparse.Namespace, seed: int) -> str:
 
 def total(numbers: list[int | None]) -> int | None:
     return None if None in numbers else sum(number or 0 for number in numbers)
-
-
-def print_row(*cells: object) -> None:
-    print(f"| {' | '.join('-' if cell is None else str(cell) for cell in cells)} |")
 
 
 def main() -> int:
