@@ -1,11 +1,10 @@
 """Which number predicts how a network drives? Many networks, all offline measures of each, and their drives.
 
-python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--epochs 1 4] [--recipes original ...]
-    [--laps 0.25] [--speed 15] [--report]
+python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--recipes original ...] [--report]
 
 The study records half laps of both tracks by the expert and by the simulated keyboard driver, and other drives
-that are held out. It trains each recipe with each seed, and takes the network of each of --epochs. Each network
-predicts the recordings held out, and drives the simulator (`bc-eval --simulator`).
+that are held out. It trains each recipe with each seed, and takes the network after one and after four epochs.
+Each network predicts the recordings held out, and drives the simulator (`bc-eval --simulator`).
 
 Existing results in FOLDER are not computed again: stop the study (Ctrl-C) and start it again at any time. Every
 job has one thread, and --jobs of them run at once. At the end, or at any time with --report,
@@ -37,7 +36,7 @@ from common.files import atomic_file
 KNOWN: Final = ("lake", "mountain")
 HELD_OUT_ROADS: Final = ("random:101", "random:102", "random:103")  # recorded, and predicted
 DRIVEN: Final = (*KNOWN, "random:1", "random:2", "random:3", "random:4", "random:5")
-EPOCHS: Final = (1, 4)
+EPOCHS: Final = (1, 4)  # after which networks are taken
 PREDICT: Final = Path(__file__).resolve().with_name("which_number_predict.py")
 LEARNT_SEED, HELD_OUT_SEED = 1, 2
 RECORDED_LAPS: Final = {LEARNT_SEED: 0.5, HELD_OUT_SEED: 0.25}
@@ -81,15 +80,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--jobs", type=int, default=2, help="number of jobs at once, with one thread each")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--epochs", type=int, nargs="+", default=list(EPOCHS))
-    parser.add_argument("--laps", type=float, default=0.25, help="laps to drive on each track")
-    parser.add_argument("--speed", type=float, default=15.0, help="set speed in mph")
     parser.add_argument("--recipes", nargs="+", choices=RECIPES, default=list(RECIPES))
     parser.add_argument("--report", action="store_true", help="only report the existing results")
     arguments = parser.parse_args()
     folder = arguments.folder.resolve()
     if not arguments.report:
-        study = Study(folder, arguments.epochs, arguments.laps, arguments.speed)
+        study = Study(folder)
         trainings = list(itertools.product(arguments.seeds, arguments.recipes))  # so that all recipes come early
         with Jobs(arguments.jobs) as jobs:
             study.jobs = jobs
@@ -164,11 +160,8 @@ class Study:
 
     jobs: Jobs
 
-    def __init__(self, folder: Path, epochs: Sequence[int], laps: float, speed_mph: float) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.epochs = sorted(epochs)
-        self.laps = laps
-        self.speed_mph = speed_mph
         for name in ("sessions", "indexes", "runs", "networks", "drives"):
             (folder / name).mkdir(parents=True, exist_ok=True)
 
@@ -199,12 +192,12 @@ class Study:
     def train(self, seed: int, name: str) -> list[str]:
         """Train, and copy the network after each of the epochs. Returns the names of the networks."""
         training = f"{file_name(name)}-s{seed}"
-        for epochs in self.epochs:
+        for epochs in EPOCHS:
             taken = self.folder / "networks" / f"{training}-e{epochs}"
             if not taken.exists():
                 self._train(name, seed, training, epochs)
                 self._take(training, taken)
-        return [f"{training}-e{epochs}" for epochs in self.epochs]
+        return [f"{training}-e{epochs}" for epochs in EPOCHS]
 
     def _train(self, name: str, seed: int, training: str, epochs: int) -> None:
         run = self.folder / "runs" / training
@@ -238,7 +231,7 @@ class Study:
         if kept.exists():
             return
         with tempfile.TemporaryDirectory(dir=self.folder / "drives") as logs:
-            flags = ("--simulator", *DRIVEN, "--laps", self.laps, "--speed", self.speed_mph)
+            flags = ("--simulator", *DRIVEN, "--laps", 0.25, "--speed", 15)
             output = self.jobs.bc(
                 self.folder, "bc-eval", network, "--runs", "networks", *flags, "--drives", logs, "--json"
             )

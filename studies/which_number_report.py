@@ -44,15 +44,9 @@ HANDS: Final[dict[Hand, str]] = {"keys": "people", "smooth": "expert"}
 
 def write(folder: Path) -> None:
     """Write FOLDER/which_number.parquet, .md and .png, and print the tables."""
-    measured = [
-        {path.stem for path in (folder / name).glob(pattern)}
-        for name, pattern in (
-            ("predictions", "*.parquet"),
-            ("recordings_driven", "*.jsonl"),
-            ("driven", "*.jsonl"),
-        )
-    ]
-    networks = sorted(set.intersection(*measured))
+    predicted = {path.stem for path in (folder / "predictions").glob("*.parquet")}
+    driven = {path.stem for path in (folder / "driven").glob("*.jsonl")}
+    networks = sorted(predicted & driven)
     if not networks:
         raise SystemExit(f"{folder}: no network in it is measured yet")
     rows = [row for network in networks for row in rows_of(folder, network)]
@@ -83,11 +77,10 @@ def rows_of(folder: Path, network: str) -> list[dict[str, Any]]:
     for driver in ("keyboard", "expert"):
         part = frames[frames["session"].str.contains(f"-{driver}-")]
         values += [("offline", driver, name, value) for name, value in offline(part).items()]
-    for kind, file in (("recording driven", "recordings_driven"), ("driven", "driven")):
-        for line in (folder / file / f"{network}.jsonl").read_text().splitlines():
-            drive = json.loads(line)
-            where = drive.get("track") or drive["session"]
-            values += [(kind, where, name, float(value)) for name, value in drive.items() if is_number(value)]
+    for line in (folder / "driven" / f"{network}.jsonl").read_text().splitlines():
+        drive = json.loads(line)
+        numbers = [(name, float(value)) for name, value in drive.items() if is_number(value)]
+        values += [("driven", drive["track"], name, value) for name, value in numbers]
     return [
         {**about, "kind": kind, "where": where, "measure": name, "value": value}
         for kind, where, name, value in values
@@ -143,7 +136,8 @@ def rmse_deg(predicted: Floats, recorded: Floats) -> float:
 
 
 def pivot(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """One row for each network: its offline measures by driver, those of driving recordings, and `OUTCOMES`."""
+    """One row for each network: its offline measures by driver, `OUTCOMES`, and of stored measures also those of
+    driving recordings, which a command did until 0.3.0."""
     long = pd.DataFrame(rows)
     index = ["network", "recipe", "seed", "epoch"]
     offline_part = long[long["kind"] == "offline"]
@@ -154,11 +148,12 @@ def pivot(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
         + ")"
     )
     wide = offline_part.assign(name=names).pivot_table("value", index, "name", sort=False)
-    recordings = sums_of(long[long["kind"] == "recording driven"], index)
-    km = recordings["distance_m"] / 1000
-    wide["recordings driven: interventions a km"] = recordings["interventions"] / km
-    weighted = long[(long["kind"] == "recording driven") & (long["measure"] == "mean_offset_m")]
-    wide["recordings driven: mean offset"] = weighted.groupby(index)["value"].mean()
+    recordings = long[long["kind"] == "recording driven"]
+    if len(recordings):
+        sums = sums_of(recordings, index)
+        wide["recordings driven: interventions a km"] = 1000 * sums["interventions"] / sums["distance_m"]
+        offsets_m = recordings[recordings["measure"] == "mean_offset_m"]
+        wide["recordings driven: mean offset"] = offsets_m.groupby(index)["value"].mean()
     driven = sums_of(long[long["kind"] == "driven"], index)
     wide["interventions a lap"] = driven["interventions"] / driven["laps"].clip(lower=0.01)
     lost_s = 6.0 * driven["interventions"]
@@ -256,6 +251,8 @@ def staying(rows: Sequence[Mapping[str, Any]], wide: pd.DataFrame) -> list[str]:
         bounds = (0.0, *EDGES[hand], math.inf)
         for low, high in itertools.pairwise(bounds):
             stayed = has_stayed[(low <= error) & (error < high)]
+            if not len(stayed):
+                continue
             low_share, high_share = wilson_interval(int(stayed.sum()), len(stayed))
             words = (
                 f"{low:g} and more" if high == math.inf else f"{low:g} to {high:g}" if low else f"below {high:g}"
