@@ -1,19 +1,17 @@
 """Do random alterations in every epoch help? Networks are trained on some people and measured on the others.
 
 python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people altered] [--seeds 0 1 2]
-    [--parts one three drive] [--last] [--table] [--together]
+    [--parts three drive] [--last]
 
 Recipes: "people"; "altered", the default; "as seen" is "altered" with --light as-seen; "NAME alone" and "all but
 NAME" have one alteration, and all others; "neither" is "all but mix" with --light as-seen.
 
-"one": for each person, a network trained on this person is measured on all others. "three": for each person, a
-network trained on all others is measured on this person. Frames of crashes are left out. Errors are divided by
-those of always predicting the mean of the same frames. "drive": a network trained on half a lap of both built-in
-tracks by the simulated keyboard driver drives full laps. Each result is a file in FOLDER/results. Existing results
-are not computed again, and a stopped training continues. --table only prints.
+"three": for each person, a network trained on all others is measured on this person. Frames of crashes are left
+out. Errors are divided by those of always predicting the mean of the same frames. "drive": a network trained on
+half a lap of both built-in tracks by the simulated keyboard driver drives full laps. Each result is a file in
+FOLDER/results. Existing results are not computed again, and a stopped training continues.
 --last measures the last epoch, also with "people", which keeps the one with the smallest driving error on the
 held-out frames.
---together measures the mean answer of the networks of all seeds of "three".
 """
 
 from __future__ import annotations
@@ -28,8 +26,7 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-import pyarrow as pa
+from printed_table import print_head, print_row
 from toolkit_command import output_of
 
 from dataset import IndexConfig, build_index
@@ -38,13 +35,12 @@ from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate as drive
 from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
-from model.evaluation.evaluate import Evaluation, evaluate_runs_on_sessions, evaluate_sessions
+from model.evaluation.evaluate import evaluate_sessions
 from model.training.trainer import Trained
 
-PEOPLE: Final = TrainConfig.of("people")
 ALTERED: Final = TrainConfig()
 RECIPES: Final[Mapping[str, TrainConfig]] = {
-    "people": PEOPLE,
+    "people": TrainConfig.of("people"),
     "altered": ALTERED,
     "as seen": replace(ALTERED, light="as-seen"),
     "neither": replace(ALTERED, light="as-seen", alter_each_epoch=EARLIER_ALTERATIONS),
@@ -68,50 +64,39 @@ def main() -> None:
     parser.add_argument("--network", default=TrainConfig.network)
     parser.add_argument("--recipes", nargs="+", default=["people", "altered"], choices=RECIPES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--parts", nargs="+", default=["one", "three"], choices=["one", "three", "drive"])
+    parser.add_argument("--parts", nargs="+", default=["three"], choices=["three", "drive"])
     parser.add_argument("--last", action="store_true")
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("--together", action="store_true")
     chosen = parser.parse_args()
     logs = [log.resolve() for log in chosen.logs]
-    if not chosen.table:
-        for seed, kind in product(chosen.seeds, chosen.parts):
-            for learnt, recipe in product(parts(logs, kind), chosen.recipes):
-                if kind == "drive":
-                    drive_roads(chosen.folder, chosen.network, recipe, seed, chosen.last)
-                else:
-                    measure(chosen.folder, chosen.network, recipe, seed, learnt, logs, chosen.last)
-    for kind in chosen.parts:
-        if kind == "drive":
-            print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds, chosen.last)
-        else:
-            print_table(chosen.folder, chosen.network, kind, logs, chosen.recipes, chosen.seeds, chosen.last)
-    if chosen.together:
-        print_together(chosen.folder, chosen.network, logs, chosen.recipes, chosen.seeds)
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    for seed, recipe in product(chosen.seeds, chosen.recipes):
+        if "three" in chosen.parts:
+            for learnt, person in parts(logs):
+                measure(chosen.folder, chosen.network, recipe, seed, learnt, person, chosen.last)
+        if "drive" in chosen.parts:
+            drive_roads(chosen.folder, chosen.network, recipe, seed, chosen.last)
+    if "three" in chosen.parts:
+        print_people(chosen.folder, chosen.network, logs, chosen.recipes, chosen.seeds, chosen.last)
+    if "drive" in chosen.parts:
+        print_drives(chosen.folder, chosen.network, chosen.recipes, chosen.seeds, chosen.last)
 
 
-def parts(logs: Sequence[Path], kind: str) -> list[list[Path]]:
-    if kind == "drive":
-        return [[]]
-    return [[log] if kind == "one" else [other for other in logs if other != log] for log in logs]
+def parts(logs: Sequence[Path]) -> list[tuple[list[Path], Path]]:
+    """For each person, the logs of all others and the person's own."""
+    return [([other for other in logs if other != log], log) for log in logs]
 
 
 def measure(
-    folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], logs: Sequence[Path], last: bool
+    folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], person: Path, last: bool
 ) -> None:
-    """Train on `learnt`, and measure on the other logs."""
+    """Train on `learnt`, and measure on `person`."""
     result = file_of(folder, network, recipe, seed, learnt, last)
     if result.exists():
         return
     print(result.stem, file=sys.stderr, flush=True)
     trained = trained_on(folder, network, recipe, seed, learnt)
-    evaluation = evaluate_sessions(measured(trained.run, last), [log for log in logs if log not in learnt])
-    keep(result, {"best_epoch": trained.best_epoch, "sessions": values_of(evaluation)})
-
-
-def values_of(evaluation: Evaluation) -> dict[str, dict[str, float]]:
-    """The `MEASURES` of each session."""
-    return {
+    evaluation = evaluate_sessions(measured(trained.run, last), [person])
+    sessions = {
         session: {
             "RMSE": measures.network.rmse_deg / measures.mean.rmse_deg,
             "error on turns": measures.network.turning_mae_deg / measures.mean.turning_mae_deg,
@@ -119,6 +104,7 @@ def values_of(evaluation: Evaluation) -> dict[str, dict[str, float]]:
         }
         for session, measures in evaluation.driving.sessions.items()
     }
+    keep(result, {"best_epoch": trained.best_epoch, "sessions": sessions})
 
 
 def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Trained:
@@ -126,7 +112,7 @@ def trained_on(folder: Path, network: str, recipe: str, seed: int, learnt: Seque
     index = folder / "indexes" / "-".join(log.stem for log in learnt)
     if not index.exists():
         build_index(list(learnt), index, IndexConfig(validation_share=0.1))
-    run = run_of(folder, network, recipe, seed, learnt)
+    run = folder / "runs" / file_of(folder, network, recipe, seed, learnt, last=False).stem
     config = replace(RECIPES[recipe], network=network, seed=seed, threads=1)
     return train(index, run, config, resume=run.exists(), show_progress=False)
 
@@ -158,14 +144,15 @@ def drive_roads(folder: Path, network: str, recipe: str, seed: int, last: bool) 
 
 def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequence[int], last: bool) -> None:
     """Print interventions, and the mean offset as a share of the half width, for each recipe and seed."""
-    print(f"\n| `{network}` | seed | {' | '.join(ROADS)} |\n|{'---|' * (2 + len(ROADS))}")
+    print()
+    print_head(f"`{network}`", "seed", *ROADS)
     sessions = [Path("keyboard_lake"), Path("keyboard_mountain")]
     for recipe, seed in product(recipes, seeds):
         file = file_of(folder, network, recipe, seed, sessions, last)
         if file.exists():
             reports = json.loads(file.read_text())
             cells = [f"{reports[road]['interventions']}, {reports[road]['mean_offset']:.3f}" for road in ROADS]
-            print(f"| {recipe} | {seed} | {' | '.join(cells)} |")
+            print_row(recipe, seed, *cells)
 
 
 def keep(result: Path, values: Mapping[str, object]) -> None:
@@ -180,44 +167,16 @@ def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence
     return folder / ("results-last" if last else "results") / f"{named}-{seed}.json"
 
 
-def run_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path]) -> Path:
-    return folder / "runs" / file_of(folder, network, recipe, seed, learnt, last=False).stem
-
-
-def print_together(
-    folder: Path, network: str, logs: Sequence[Path], recipes: Sequence[str], seeds: Sequence[int]
+def print_people(
+    folder: Path, network: str, logs: Sequence[Path], recipes: Sequence[str], seeds: Sequence[int], last: bool
 ) -> None:
-    """For each recipe: the measures of the mean of all seeds' answers, as means over the people."""
-    for recipe in recipes:
-        values: list[dict[str, float]] = []
-        for learnt in parts(logs, "three"):
-            runs = [run_of(folder, network, recipe, seed, learnt) for seed in seeds]
-            evaluations = evaluate_runs_on_sessions(runs, [log for log in logs if log not in learnt])
-            answers = np.mean([evaluation.frames["predicted"].to_numpy() for evaluation in evaluations], axis=0)
-            column = evaluations[0].frames.column_names.index("predicted")
-            frames = evaluations[0].frames.set_column(column, "predicted", pa.array(answers))
-            values += values_of(replace(evaluations[0], frames=frames)).values()
-        means = (statistics.fmean(measures[name] for measures in values) for name in MEASURES)
-        print(f"{recipe}, mean of {len(seeds)} networks: {', '.join(f'{mean:.3f}' for mean in means)}")
-
-
-def print_table(
-    folder: Path,
-    network: str,
-    kind: str,
-    logs: Sequence[Path],
-    recipes: Sequence[str],
-    seeds: Sequence[int],
-    last: bool,
-) -> None:
-    """Print, for each recipe, the mean over pairs of each seed: its mean, minimum and maximum over seeds."""
-    print(
-        f"\n| `{network}`, trained on {kind} | seeds | {' | '.join(MEASURES)} |\n|{'---|' * (2 + len(MEASURES))}"
-    )
+    """Print, for each recipe, the mean over the people of each seed: its mean, minimum and maximum over seeds."""
+    print()
+    print_head(f"`{network}`", "seeds", *MEASURES)
     for recipe in recipes:
         seed_means: list[list[float]] = []
         for seed in seeds:
-            files = [file_of(folder, network, recipe, seed, learnt, last) for learnt in parts(logs, kind)]
+            files = [file_of(folder, network, recipe, seed, learnt, last) for learnt, _ in parts(logs)]
             if not all(file.exists() for file in files):
                 continue
             measures = [values for file in files for values in json.loads(file.read_text())["sessions"].values()]
@@ -226,7 +185,7 @@ def print_table(
             continue
         columns = list(zip(*seed_means, strict=True))
         cells = [f"{statistics.fmean(means):.3f} ({min(means):.3f} to {max(means):.3f})" for means in columns]
-        print(f"| {recipe} | {len(seed_means)} | {' | '.join(cells)} |")
+        print_row(recipe, len(seed_means), *cells)
 
 
 if __name__ == "__main__":

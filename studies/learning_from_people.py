@@ -2,15 +2,14 @@
 
 python studies/learning_from_people.py FOLDER sessions/lake.mcap sessions/jungle.mcap ...
     [--across lake:other_lake ...] [--recipes original people ...] [--seeds 0 1 2] [--epochs 6]
-    [--other-blocks] [--validation-share 0.2]
+    [--other-blocks]
 
 For each recipe and seed, a network is trained on the training blocks of all logs and measured on the blocks held
 out. For each pair of --across, a network is trained on the first session and measured on the whole second session,
 and the other way round. Errors are divided by those of always predicting the mean of the same frames; with several
 seeds, the table shows their mean (minimum to maximum). "Best by a scale" is the smallest RMSE that any scale and
 offset of the same answers could have, sqrt(1 - correlation^2). --other-blocks holds out other blocks for each
-seed, so that the chance of the split averages out, too; --validation-share sets their share. Existing results in
-FOLDER are not computed again.
+seed, so that the chance of the split averages out, too. Existing results in FOLDER are not computed again.
 """
 
 from __future__ import annotations
@@ -76,7 +75,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--epochs", type=int, default=6)
     parser.add_argument("--other-blocks", action="store_true")
-    parser.add_argument("--validation-share", type=float, default=IndexConfig().validation_share)
     arguments = parser.parse_args()
     logs: dict[str, Path] = {log.stem: log.resolve() for log in arguments.logs}
     pairs = [(first, second) for first, _, second in (pair.partition(":") for pair in arguments.across)]
@@ -89,7 +87,7 @@ def main() -> None:
     for seed in arguments.seeds:
         for part in parts:
             if arguments.other_blocks and not part.unseen:
-                part = replace(part, block_seed=seed, validation_share=arguments.validation_share)
+                part = replace(part, block_seed=seed)
             for recipe in arguments.recipes:
                 measured = measures(arguments.folder, recipe, seed, arguments.epochs, part)
                 for session, values in measured.items():
@@ -105,20 +103,19 @@ class Part:
     learnt: tuple[Path, ...]
     unseen: tuple[Path, ...] = ()
     block_seed: int = 0
-    validation_share: float = IndexConfig().validation_share
 
 
 def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> dict[str, dict[str, float]]:
     """Train and measure. Returns the measures by session."""
     learnt, unseen = part.learnt, part.unseen
     index_config, train_config = RECIPES[recipe]
-    other = part.block_seed or part.validation_share != IndexConfig().validation_share
-    blocks = [f"blocks{part.block_seed}", f"{part.validation_share:g}"] if other else []
-    name = "-".join([slug(recipe), *sorted(log.stem for log in learnt), *blocks])
+    blocks = [f"blocks{part.block_seed}"] if part.block_seed else []
+    slug = recipe.replace(" + ", "+").replace(", ", "-").replace(" ", "-")
+    name = "-".join([slug, *sorted(log.stem for log in learnt), *blocks])
     result = folder / "results" / f"{name}-{epochs}-{seed}.json"
     if not result.exists():
         # with unseen logs, the held-out frames are not needed to choose an epoch, but an index must hold out some
-        share = 0.1 if unseen else part.validation_share
+        share = 0.1 if unseen else index_config.validation_share
         index_config = replace(index_config, validation_share=share, seed=part.block_seed)
         index = build_index(list(learnt), folder / f"index-{name}", index_config).path
         run = folder / "runs" / f"{name}-{epochs}-{seed}"
@@ -158,10 +155,6 @@ def cells(seeds: Sequence[Mapping[str, float]]) -> list[str]:
 def mean(values: Iterable[float]) -> float:
     numbers = [value for value in values if not math.isnan(value)]
     return statistics.fmean(numbers) if numbers else math.nan
-
-
-def slug(recipe: str) -> str:
-    return recipe.replace(" + ", "+").replace(", ", "-").replace(" ", "-")
 
 
 if __name__ == "__main__":

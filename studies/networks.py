@@ -1,12 +1,10 @@
 """The networks of the toolkit side by side: parameters, size, training speed, ms a picture, and how they drive.
 
-python studies/networks.py FOLDER [--networks original small] [--sessions lake.mcap mountain.mcap] [--epochs 10]
-    [--seeds 0] [--drive lake mountain random:1 random:2 random:3] [--speed 10] [--what speed train drive]
-    [--rounds 5]
+python studies/networks.py FOLDER [--networks original small] [--seeds 0] [--what speed train drive]
 
-Existing results in FOLDER are not computed again, so the study can be stopped at any moment. Without --sessions,
-the built-in expert records half a lap of each track in FOLDER. Times are processor time of one thread, the minimum
-of several rounds in which the networks take turns: a busy machine gives the same times as an idle one.
+Existing results in FOLDER are not computed again, so the study can be stopped at any moment. The built-in expert
+records half a lap of each track in FOLDER. Times are processor time of one thread, the minimum of several rounds
+in which the networks take turns: a busy machine gives the same times as an idle one.
 """
 
 from __future__ import annotations
@@ -41,43 +39,40 @@ from model.training.step import training_step
 WHAT: Final = ("speed", "train", "drive")
 PICTURES: Final = 64  # in a step
 PREDICTIONS: Final = 20  # in a round
+ROUNDS: Final = 5
 RECORDED: Final = ("lake", "mountain")
+DRIVEN: Final = (*RECORDED, "random:1", "random:2", "random:3")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--networks", nargs="+", default=list(BUILT_IN), choices=BUILT_IN)
-    parser.add_argument("--sessions", type=Path, nargs="+", default=[])
-    parser.add_argument("--epochs", type=int, default=10)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--drive", nargs="+", default=["lake", "mountain", "random:1", "random:2", "random:3"])
-    parser.add_argument("--speed", type=float, default=10.0)
-    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--what", nargs="+", default=list(WHAT), choices=WHAT)
     arguments = parser.parse_args()
     folder: Path = arguments.folder
     folder.mkdir(parents=True, exist_ok=True)
     if "speed" in arguments.what:
-        print_speed(speeds(folder / "speed.json", arguments.networks, arguments.rounds))
+        print_speed(speeds(folder / "speed.json", arguments.networks))
     if "train" in arguments.what:
-        index = index_of(folder, arguments.sessions)
+        index = index_of(folder)
         for seed in arguments.seeds:
             for network in arguments.networks:
-                trained(folder, index, network, seed, arguments.epochs)
+                train_network(folder, index, network, seed)
     if "drive" in arguments.what:
-        print_drives(folder, arguments)
+        print_drives(folder, arguments.networks, arguments.seeds)
 
 
 # Speed
 
 
-def speeds(path: Path, networks: list[str], rounds: int) -> dict[str, dict[str, Any]]:
+def speeds(path: Path, networks: list[str]) -> dict[str, dict[str, Any]]:
     """The size and speed of each network, measured now or in an earlier call."""
     results: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
     torch.set_num_threads(1)
     contenders = {name: Contender(name) for name in networks if name not in results}
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         for contender in contenders.values():
             contender.take_turn()
     results |= {name: contender.result() for name, contender in contenders.items()}
@@ -157,48 +152,45 @@ def print_speed(results: dict[str, dict[str, Any]]) -> None:
 # Driving
 
 
-def index_of(folder: Path, sessions: list[Path]) -> Path:
-    """The index of the sessions, or of half a lap of each track."""
-    if not sessions:
-        sessions = [folder / "sessions" / f"{track}.mcap" for track in RECORDED]
-        for session in sessions:
-            if not session.exists():
-                output_of(folder, "bc-record", session.stem, "--track", session.stem, "--laps", 0.5)
+def index_of(folder: Path) -> Path:
+    """The index of half a lap of each track."""
+    sessions = [folder / "sessions" / f"{track}.mcap" for track in RECORDED]
+    for session in sessions:
+        if not session.exists():
+            output_of(folder, "bc-record", session.stem, "--track", session.stem, "--laps", 0.5)
     return build_index(sessions, folder / "index", IndexConfig.of("original")).path
 
 
-def trained(folder: Path, index: Path, network: str, seed: int, epochs: int) -> Path:
+def train_network(folder: Path, index: Path, network: str, seed: int) -> None:
     run = folder / "runs" / f"{network}-{seed}"
-    config = replace(TrainConfig.of("original"), network=network, seed=seed, epochs=epochs)
+    config = replace(TrainConfig.of("original"), network=network, seed=seed)
     if not run.exists():
         train(index, run, config)
-    elif len(read_history(run)[0].epochs) < epochs:
+    elif len(read_history(run)[0].epochs) < config.epochs:
         train(index, run, config, resume=True)
-    return run
 
 
-def print_drives(folder: Path, arguments: argparse.Namespace) -> None:
-    print("| network | seed | RMSE held out | " + " | ".join(arguments.drive) + " |")
-    print("|---" * (3 + len(arguments.drive)) + "|")
-    for network in arguments.networks:
-        for seed in arguments.seeds:
+def print_drives(folder: Path, networks: list[str], seeds: list[int]) -> None:
+    print_head("network", "seed", "RMSE held out", *DRIVEN)
+    for network in networks:
+        for seed in seeds:
             run = folder / "runs" / f"{network}-{seed}"
             best = read_history(run)[0].best
             rmse_deg = math.nan if best is None else best.measures.network.rmse_deg
-            drives = [driven(run, track, arguments.speed) for track in arguments.drive]
+            drives = [driven(run, track) for track in DRIVEN]
             cells = [
                 f"{drive['autonomy_percent']:.0f} %, {drive['interventions']}, {drive['mean_offset']:.2f}"
                 for drive in drives
             ]
-            print(f"| `{network}` | {seed} | {rmse_deg:.2f} deg | {' | '.join(cells)} |", flush=True)
+            print_row(f"`{network}`", seed, f"{rmse_deg:.2f} deg", *cells)
     print("\nCells: autonomy, interventions, mean distance from the centre line as a share of the half width.")
 
 
-def driven(run: Path, track: str, mph: float) -> dict[str, Any]:
+def driven(run: Path, track: str) -> dict[str, Any]:
     """The result of `bc-eval` for a lap, from now or from an earlier call."""
-    kept = run / f"drive-{track.replace(':', '-')}-{mph:g}.json"
+    kept = run / f"drive-{track.replace(':', '-')}.json"
     if not kept.exists():
-        words = ("--simulator", track, "--speed", f"{mph:g}", "--drives", "drives", "--force", "--json")
+        words = ("--simulator", track, "--drives", "drives", "--force", "--json")
         output = output_of(run, "bc-eval", run.absolute(), *words)
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(output)
