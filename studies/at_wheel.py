@@ -1,7 +1,7 @@
 """A person at the wheel, in Chromium: the delay from a key to the picture that shows its effect; takeovers; an
 hour.
 
-python studies/at_wheel.py [--seconds 120] [--track lake] [--json at_wheel.json]
+python studies/at_wheel.py [--seconds 120] [--json at_wheel.json]
 python studies/at_wheel.py --takeovers 1000
 python studies/at_wheel.py --minutes 60
 
@@ -45,6 +45,7 @@ from recorder.teleop.open_wheels import OpenWheel
 from simulator.driving.keyboard import KeyboardDriver
 from simulator.driving.simulation import Simulation
 
+TRACK: Final = "lake"
 EYE_SCALES: Final = (2.0, 1.5, 1.0)
 BARS_MS: Final = {"delay p50": 60.0, "delay p99": 100.0, "between pictures p99": 80.0}
 MIN_PICTURE_HZ: Final = 20.0
@@ -67,10 +68,10 @@ PAUSE_S: Final = 0.25  # on average
 TAKEN: Final = 0.625  # steering that the network does not answer, to recognise the person's
 
 
-def renderer_alone(track: str, seconds: float) -> dict[str, float]:
+def renderer_alone(seconds: float) -> dict[str, float]:
     """The pictures of each size for the page, and the rows of three cameras, that one core renders in a second."""
     cv2.setNumThreads(1)
-    simulation = Simulation(track)
+    simulation = Simulation(TRACK)
     line = simulation.track.line
     rates = {}
     for what, scale, cameras in [
@@ -87,17 +88,17 @@ def renderer_alone(track: str, seconds: float) -> dict[str, float]:
     return rates
 
 
-def delays(folder: Path, track: str, seconds: float, seed: int) -> dict[str, Any]:
+def delays(folder: Path, seconds: float) -> dict[str, Any]:
     """Press keys at random moments while a drive is recorded. Returns the measurements."""
-    alone = renderer_alone(track, min(3.0, seconds / 4))
-    words = ("delays", "--driver", "me", "--no-page", "--track", track)
+    alone = renderer_alone(min(3.0, seconds / 4))
+    words = ("delays", "--driver", "me", "--no-page", "--track", TRACK)
     with (
         workbench(folder) as (server, address),
         running(folder, "bc-record", *words) as drive,
         chromium() as browser,
     ):
         page = DrivePage(browser, address, wheel_of(folder, drive))
-        player, chance = Player(page, "keys", seed), random.Random(seed)
+        player, chance = Player(page, "keys", 0), random.Random(0)
         driver = KeyboardDriver(player.eyes.map.line, 10.0)
         page.record()
         wait_for(lambda: page.see().speed_mph > 8 or None, "the car to drive")
@@ -185,17 +186,16 @@ def socket_of(wheel: OpenWheel) -> ClientConnection:
     return connect(address, additional_headers=headers, compression=None, max_size=1 << 24)
 
 
-def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int) -> dict[str, Any]:
+def takeovers(folder: Path, times: int) -> dict[str, Any]:
     """Take over from a network at random moments, and hand back. Returns the counts."""
-    if run is None:
-        progress("training a network to take over from")
-        output_of(folder, "bc-record", "short", "--track", track, "--laps", "0.05")
-        output_of(folder, "bc-train", "--name", "short", "--epochs", "1")
-    log, chance = folder / "drives" / "takeovers.mcap", random.Random(seed)
-    words = ["--simulator", track, "--laps", "1000", "--takeover", "me", "--no-page", "--viewer", "off"]
+    progress("training a network to take over from")
+    output_of(folder, "bc-record", "short", "--track", TRACK, "--laps", "0.05")
+    output_of(folder, "bc-train", "--name", "short", "--epochs", "1")
+    log, chance = folder / "drives" / "takeovers.mcap", random.Random(0)
+    words = ["--simulator", TRACK, "--laps", "1000", "--takeover", "me", "--no-page", "--viewer", "off"]
     after, held = Counter[str](), 0
     with (
-        running(folder, "bc-drive", str(run or "short"), *words, "--log", log) as drive,
+        running(folder, "bc-drive", "short", *words, "--log", log) as drive,
         socket_of(wheel_of(folder, drive)) as connection,
     ):
         page = Socket(connection)
@@ -236,9 +236,9 @@ def takeovers(folder: Path, run: Path | None, track: str, times: int, seed: int)
     }
 
 
-def soak(folder: Path, track: str, minutes: float, seed: int, keep: Path) -> dict[str, Any]:
+def soak(folder: Path, minutes: float, keep: Path) -> dict[str, Any]:
     """Drive by keys for `minutes`, and write the samples to `keep` as they come. Returns the measurements."""
-    words = ("soak", "--driver", "me", "--no-page", "--track", track)
+    words = ("soak", "--driver", "me", "--no-page", "--track", TRACK)
     samples: list[dict[str, float]] = []
     with (
         workbench(folder) as (server, address),
@@ -246,7 +246,7 @@ def soak(folder: Path, track: str, minutes: float, seed: int, keep: Path) -> dic
         chromium() as browser,
     ):
         page = DrivePage(browser, address, wheel_of(folder, drive))
-        player = Player(page, "keys", seed)
+        player = Player(page, "keys", 0)
         page.record()
         begin_s, every_s = time.monotonic(), max(1.0, 60 * minutes / 360)
         while (now_s := time.monotonic()) < begin_s + 60 * minutes:
@@ -324,9 +324,6 @@ def main() -> None:
         "--takeovers", type=int, default=0, help="instead, supervise a network with this many takeovers"
     )
     parser.add_argument("--minutes", type=float, default=0, help="instead, drive for this time")
-    parser.add_argument("--track", default="lake")
-    parser.add_argument("--run", type=Path, help="the network for --takeovers; by default a new one")
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, default=Path("at_wheel.json"))
     asked = parser.parse_args()
     keep: Path = asked.json.absolute()
@@ -334,12 +331,11 @@ def main() -> None:
         folder = Path(name)
         os.environ["BC_CACHE"] = str(folder / "cache")
         if asked.takeovers:
-            run = asked.run.absolute() if asked.run else None
-            title, result = "takeovers", takeovers(folder, run, asked.track, asked.takeovers, asked.seed)
+            title, result = "takeovers", takeovers(folder, asked.takeovers)
         elif asked.minutes:
-            title, result = "a long drive", soak(folder, asked.track, asked.minutes, asked.seed, keep)
+            title, result = "a long drive", soak(folder, asked.minutes, keep)
         else:
-            title, result = "delays, ms", delays(folder, asked.track, asked.seconds, asked.seed)
+            title, result = "delays, ms", delays(folder, asked.seconds)
     keep.write_text(json.dumps(result, indent=1))
     print_table(title, result)
 

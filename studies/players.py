@@ -1,6 +1,6 @@
 """Does a person's drive teach a network? Scripted players stand in for people, in Chromium, at the page Drive.
 
-python studies/players.py FOLDER [--only "devices *"] [--kinds record train eval] [--list]
+python studies/players.py FOLDER [--only "devices *"] [--list]
 
 Devices: players record half a lap of the lake and of the mountain by keys, mouse and gamepad. A network of each
 pair of recordings drives full laps of both tracks and of three unseen roads. Supervision: a beginner is trained on
@@ -41,6 +41,7 @@ from web.jobs.wheels import EPOCHS_MORE, QUICK_RECIPE, quick_epochs
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
 BEGINNERS: Final = "mountain"
+SUPERVISORS: Final[Device] = "gamepad"
 SUPERVISED: Final = ("random:6", "random:7")
 """One road for each round. The mountain is not used: the first beginner learnt a fifth of it, and never erred on
 it."""
@@ -97,16 +98,12 @@ class Study:
         sessions = [f"{run}-{track}" for track in RECORDED]
         recordings = tuple(f"devices {run} record {track}" for track in RECORDED)
         for name, session, track in zip(recordings, sessions, RECORDED, strict=True):
-            yield Step(
-                name,
-                "record",
-                partial(self._record, session, track, device, seed, laps=self.asked.laps),
-            )
+            yield Step(name, "record", partial(self._record, session, track, device, seed, laps=self.asked.laps))
         yield self._train_step(f"devices {run} train", run, ["--on", *sessions], seed, recordings)
         yield from self._evals(f"devices {run}", run, DRIVEN, f"devices {run} train")
 
     def _supervision(self, seed: int) -> Iterator[Step]:
-        start, device = supervision(self.asked, seed), self.asked.supervisor
+        start, device = supervision(self.asked, seed), SUPERVISORS
         beginner = f"beginner-{seed}"
         share = 0.4 * self.asked.laps  # a fifth of a lap
         first = Step(
@@ -155,12 +152,7 @@ class Study:
 
     def _evals(self, name: str, run: str, tracks: tuple[str, ...], needs: str) -> Iterator[Step]:
         for track in tracks:
-            yield Step(
-                f"{name} eval {track}",
-                "eval",
-                partial(self._eval, run, track),
-                (needs,),
-            )
+            yield Step(f"{name} eval {track}", "eval", partial(self._eval, run, track), (needs,))
 
     def _record(
         self, session: str, track: str, device: Device, seed: int, *, laps: float | None = None, seconds: float = 0
@@ -321,11 +313,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="only steps with these names")
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--list", action="store_true", help="only list the steps")
     parser.add_argument("--devices", nargs="+", default=list(DEVICES), choices=DEVICES)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--supervisor", default="gamepad", choices=DEVICES, help="device of the second study")
     parser.add_argument("--laps", type=float, default=0.5, help="laps to record; the beginner records 0.4 of this")
     parser.add_argument("--minutes", type=float, default=MINUTES, help="length of a round of supervision")
     parser.add_argument("--eval-laps", type=float, default=1.0)
@@ -334,11 +324,7 @@ def main() -> int:
     (folder / "drives").mkdir(parents=True, exist_ok=True)
     os.environ["BC_CACHE"] = str(folder / "cache")
     study = Study(folder, asked)
-    steps = [
-        step
-        for step in study.steps()
-        if step.kind in asked.kinds and any(fnmatch(step.name, pattern) for pattern in asked.only)
-    ]
+    steps = [step for step in study.steps() if any(fnmatch(step.name, pattern) for pattern in asked.only)]
     if asked.list:
         for step in steps:
             print(f"{'made' if study.result(step.name) else '    '}  {step.kind:10} {step.name}")

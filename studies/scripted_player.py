@@ -49,7 +49,7 @@ class Sight:
     offset_m: float
     half_width_m: float
     time_s: float
-    off_road: bool = False
+    off_road: bool = False  # a page does not show it
 
     @property
     def aside(self) -> float:
