@@ -26,9 +26,9 @@ from driving_servers import Server, start_ours, write_pictures
 
 from recorder import Log
 
-WARM_UP: Final = 50  # messages
+WARM_UP, TURN = 50, 2_000  # messages
+ROUNDS: Final = 5  # turns of each server that count
 STAGES: Final = ("parse_ms", "decode_ms", "network_ms", "total_ms")
-
 
 VIEWER: Final = ("--viewer",)  # a viewer that writes a file
 OURS: Final = {
@@ -42,8 +42,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="the folder of a run")
     parser.add_argument("--recording", type=Path, help="a folder of the Udacity simulator, or a log")
-    parser.add_argument("--frames", type=int, default=10_000, help="messages to each server in all rounds")
-    parser.add_argument("--rounds", type=int, default=5, help="turns of each server that count")
     parser.add_argument("--turn-seconds", type=float, default=30.0, help="time limit of a turn")
     chosen = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # else suspended servers would outlive this process
@@ -52,12 +50,12 @@ def main() -> None:
         (folder / "pictures").mkdir()
         write_pictures(chosen.recording, folder / "pictures")
         servers = [start_contender(ours, chosen.run, folder, stack) for ours in OURS]
-        for number in range(1 + chosen.rounds):
-            frames = chosen.frames // chosen.rounds if number else WARM_UP
+        for number in range(1 + ROUNDS):
+            frames = TURN if number else WARM_UP
             for server in servers:
                 turn = server.drive(folder / "pictures", frames, chosen.turn_seconds)
                 print(f"round {number}: {server.name}: {turn.replies_per_s:,.1f} replies/s", file=sys.stderr)
-        print(f"{chosen.rounds} rounds, {os.cpu_count()} cores\n")
+        print(f"{ROUNDS} rounds, {os.cpu_count()} cores\n")
         print_round_trips(servers)
         print_stages(servers)
 

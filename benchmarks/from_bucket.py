@@ -5,7 +5,7 @@ python benchmarks/from_bucket.py SESSIONS long         # bc-log info of a log th
 python benchmarks/from_bucket.py SESSIONS training     # epochs of bc-train
 
 SESSIONS is a folder of logs. A separate process serves them with localbucket, each request 50 ms late and all
-answers together at 100 MB/s (--delay-ms, --mb-s). The bucket's cache is empty before each first epoch.
+answers together at 100 MB/s. The bucket's cache is empty before each first epoch.
 """
 
 from __future__ import annotations
@@ -42,6 +42,10 @@ from recorder import Log
 from recorder.upkeep.log_info import describe
 
 BUCKET: Final = "logs"
+DELAY_S: Final = 0.05
+BYTES_S: Final = 100e6
+REPEATS: Final = 3
+EPOCHS: Final = 3
 GET_USD: Final = 0.0004 / 1000  # S3 Standard, us-east-1: a GET; bytes to the same region are free
 INTERNET_USD_GB: Final = 0.09  # ... and to anywhere else
 
@@ -49,8 +53,6 @@ INTERNET_USD_GB: Final = 0.09  # ... and to anywhere else
 class _Late(localbucket.S3Handler):  # type: ignore[misc]
     """Answers after a delay, and limits the rate of all answers together to that of a network."""
 
-    delay_s: float
-    bytes_s: float
     lock = threading.Lock()
     free_at = 0.0
     requests = 0
@@ -80,21 +82,20 @@ class _Late(localbucket.S3Handler):  # type: ignore[misc]
     def _count_and_wait(self) -> None:
         with _Late.lock:
             _Late.requests += 1
-        time.sleep(self.delay_s)
+        time.sleep(DELAY_S)
 
     def _send_file(self, status: Any, file: Any, start: int, length: int, headers: Any, include_body: Any) -> None:
         with _Late.lock:
             _Late.sent += length if include_body else 0
             begin = max(_Late.free_at, time.monotonic())
-            _Late.free_at = begin + length / self.bytes_s
+            _Late.free_at = begin + length / BYTES_S
             until = _Late.free_at
         time.sleep(max(0.0, until - time.monotonic()))
         super()._send_file(status, file, start, length, headers, include_body)
 
 
-def serve(folder: str, delay_ms: float, mb_s: float) -> None:
-    settings = {"data_root": Path(folder), "delay_s": delay_ms / 1000, "bytes_s": mb_s * 1e6}
-    with ThreadingHTTPServer(("127.0.0.1", 0), type("Late", (_Late,), settings)) as server:
+def serve(folder: Path) -> None:
+    with ThreadingHTTPServer(("127.0.0.1", 0), type("Late", (_Late,), {"data_root": folder})) as server:
         print(server.server_port, flush=True)
         server.serve_forever()
 
@@ -114,13 +115,13 @@ class Server:
 
 
 @contextlib.contextmanager
-def serving(sessions: Path, delay_ms: float, mb_s: float) -> Iterator[Server]:
+def serving(sessions: Path) -> Iterator[Server]:
     """Serve copies of the logs in a bucket at s3:// during the block."""
     with tempfile.TemporaryDirectory(prefix="bc-bucket-") as folder:
         (Path(folder) / BUCKET).mkdir()
         for log in sorted(sessions.glob("*.mcap")):
             shutil.copy(log, Path(folder) / BUCKET / log.name)
-        line = [sys.executable, __file__, folder, "serve", "--delay-ms", str(delay_ms), "--mb-s", str(mb_s)]
+        line = [sys.executable, __file__, folder, "serve"]
         with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None  # noqa: S101
             server = Server(int(process.stdout.readline()), Path(folder) / BUCKET)
@@ -204,7 +205,7 @@ def _print_moved(what: str, size: int, server: Server, before: tuple[int, int]) 
     print(f"| {what} | {size / 1e6:,.1f} | {requests:,} | {sent / 1e6:,.2f} |", flush=True)
 
 
-def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, network: str) -> None:
+def print_epochs(sessions: Path, server: Server, network: str) -> None:
     """Print the fastest epochs from the disk and from the bucket, measured in turn, because other programs only
     slow them. The second and later epochs have a warm cache."""
     names = [log.name for log in sorted(sessions.glob("*.mcap"))]
@@ -216,13 +217,13 @@ def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, netw
     with tempfile.TemporaryDirectory(prefix="bc-bucket-") as folder:
         for where, logs in places.items():
             build_index(logs, Path(folder) / where, IndexConfig(labels="as-recorded"))
-        for repeat in range(repeats):
+        for repeat in range(REPEATS):
             os.environ["BC_CACHE"] = f"{folder}/cache{repeat}"
             for where in ("disk", "bucket") if repeat % 2 == 0 else ("bucket", "disk"):
                 before = server.counts()
                 index = Path(folder) / where
                 run = Path(folder) / "runs" / f"{where}{repeat}"
-                seconds[where].append(_trained(index, run, epochs, network))
+                seconds[where].append(_trained(index, run, network))
                 if where == "bucket":
                     requests, sent = (now - then for now, then in zip(server.counts(), before, strict=True))
             shutil.rmtree(os.environ["BC_CACHE"])
@@ -230,7 +231,7 @@ def print_epochs(sessions: Path, server: Server, repeats: int, epochs: int, netw
     print(f"{size / 1e6:,.0f} MB of logs; all epochs together move {sent / 1e6:,.0f} MB in {requests:,} requests:")
     print(f"{requests * GET_USD:.5f} USD, and {sent / 1e9 * INTERNET_USD_GB:.3f} USD out of its region\n")
     print("| epoch | disk, s | bucket, s | speed of the disk's |\n|---|---|---|---|")
-    for epoch in range(epochs):
+    for epoch in range(EPOCHS):
         disk, bucket = (min(epochs_s[epoch] for epochs_s in seconds[where]) for where in ("disk", "bucket"))
         print(f"| {epoch + 1} | {disk:.2f} | {bucket:.2f} | {disk / bucket:.3f} |")
 
@@ -249,9 +250,9 @@ class _Clock:
     def close(self) -> None: ...
 
 
-def _trained(index: Path, run: Path, epochs: int, network: str) -> list[float]:
+def _trained(index: Path, run: Path, network: str) -> list[float]:
     """Seconds of each epoch. The first one begins with opening the logs."""
-    settings = replace(TrainConfig(), epochs=epochs, network=network, threads=1)
+    settings = replace(TrainConfig(), epochs=EPOCHS, network=network, threads=1)
     clock = _Clock()
     train(index, run, settings, [clock], show_progress=False)
     return [after - before for before, after in itertools.pairwise(clock.at)]
@@ -261,23 +262,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sessions", type=Path)
     parser.add_argument("what", choices=["logs", "long", "training", "serve"])
-    parser.add_argument("--delay-ms", type=float, default=50)
-    parser.add_argument("--mb-s", type=float, default=100)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--epochs", type=int, default=3)
     parser.add_argument("--network", default=TrainConfig().network)
     arguments = parser.parse_args()
     if arguments.what == "serve":
-        serve(str(arguments.sessions), arguments.delay_ms, arguments.mb_s)
+        serve(arguments.sessions)
         return
-    with serving(arguments.sessions, arguments.delay_ms, arguments.mb_s) as server:
+    with serving(arguments.sessions) as server:
         match arguments.what:
             case "logs":
                 print_logs(arguments.sessions, server)
             case "long":
                 print_long(arguments.sessions, server)
             case _:
-                print_epochs(arguments.sessions, server, arguments.repeats, arguments.epochs, arguments.network)
+                print_epochs(arguments.sessions, server, arguments.network)
 
 
 if __name__ == "__main__":

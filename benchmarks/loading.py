@@ -114,19 +114,18 @@ class _Files:
 
 
 def _single_files(folder: Path, jpegs: list[bytes]) -> dict[str, tuple[int, Epoch]]:
+    """PyTorch's DataLoader, without and with two workers, which start once, before the rounds."""
     paths = [folder / f"{number:06}.jpg" for number in range(len(jpegs))]
     for path, jpeg in zip(paths, jpegs, strict=True):
         path.write_bytes(jpeg)
-    return _with_workers("single JPEG files, PyTorch's DataLoader", _Files(paths), shuffle=True)
-
-
-def _with_workers(what: str, dataset: Any, **settings: Any) -> dict[str, tuple[int, Epoch]]:
-    """The data set in PyTorch's DataLoader, without and with two workers, which start once, before the rounds."""
     loaders: dict[str, tuple[int, Epoch]] = {}
     for workers in (0, 2):
-        options = {"batch_size": BATCH, **settings, "num_workers": workers, "persistent_workers": workers > 0}
-        loader: DataLoader[Any] = DataLoader(dataset, **options)
-        loaders[f"{what}, {workers} workers"] = (max(1, workers), lambda loader=loader: loader)  # type: ignore[misc]
+        files: Any = _Files(paths)
+        loader: DataLoader[Any] = DataLoader(
+            files, BATCH, shuffle=True, num_workers=workers, persistent_workers=workers > 0
+        )
+        what = f"single JPEG files, PyTorch's DataLoader, {workers} workers"
+        loaders[what] = (max(1, workers), lambda loader=loader: loader)  # type: ignore[misc]
     return loaders
 
 

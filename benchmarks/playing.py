@@ -1,14 +1,13 @@
 """How fast a log opens in the viewer, and how much memory it takes, by minutes of driving at 25 rows a second.
 
-python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 120] [--folder .] [--ways play]
+python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 120] [--folder .]
 
 The rows of a session (three cameras) and of a drive (one camera, and the network's crops) are repeated until a log
 is long enough. Three ways are measured: bc-play shows the log in a running headless viewer; bc-play writes an .rrd
-file, which a headless viewer opens; the viewer opens the log itself, without curves. --ways chooses some of them.
-A log is completely shown when the view of the centre camera shows the last picture, which is green. A jump begins
-at the first picture and ends when the last one is shown. Times include the start-up of bc-play; memory is without
-mapped files. A headless viewer needs a graphics driver: on a bare server, Debian's package
-mesa-vulkan-drivers.
+file, which a headless viewer opens; the viewer opens the log itself, without curves. A log is completely shown
+when the view of the centre camera shows the last picture, which is green. A jump begins at the first picture and
+ends when the last one is shown. Times include the start-up of bc-play; memory is without mapped files. A headless
+viewer needs a graphics driver: on a bare server, Debian's package mesa-vulkan-drivers.
 """
 
 from __future__ import annotations
@@ -289,10 +288,9 @@ def main() -> None:
     parser.add_argument("drive", type=Path)
     parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 120.0])
     parser.add_argument("--folder", type=Path, default=Path())
-    parser.add_argument("--ways", nargs="+", default=[*WAYS], choices=WAYS)
     chosen = parser.parse_args()
     headings = ["log", "size"]
-    headings += [f"{way}: {field.name.replace('_', ' ')}" for way in chosen.ways for field in fields(WAYS[way])]
+    headings += [f"{way}: {field.name.replace('_', ' ')}" for way, kind in WAYS.items() for field in fields(kind)]
     print(f"| {' | '.join(headings)} |\n|{'---|' * len(headings)}")
     for minutes in chosen.minutes:
         for kind, source in (("session", chosen.session), ("drive", chosen.drive)):
@@ -300,15 +298,9 @@ def main() -> None:
                 log = Path(folder) / "long.mcap"
                 write_long_log(source, log, minutes)
                 cells = [f"{kind}, {minutes:g} minutes", f"{log.stat().st_size / 1e6:,.0f} MB"]
-                for way in chosen.ways:
-                    cells += [as_cell(name, value) for name, value in asdict(measured(way, log)).items()]
+                for measured in (opened(log), saved(log, log.with_suffix(".rrd")), by_itself(log, log)):
+                    cells += [as_cell(name, value) for name, value in asdict(measured).items()]
             print(f"| {' | '.join(cells)} |", flush=True)
-
-
-def measured(way: str, log: Path) -> Opened | Saved | ByItself:
-    if way == "play":
-        return opened(log)
-    return saved(log, log.with_suffix(".rrd")) if way == "save" else by_itself(log, log)
 
 
 def as_cell(name: str, value: float) -> str:

@@ -20,26 +20,26 @@ import tensorflow as tf  # type: ignore[import-untyped]
 from keras import layers
 
 PARAMETERS = 5_022_327
+BATCH = 256
 
 
 class Pictures(keras.utils.PyDataset):  # type: ignore[misc]
     """Batches that are read, cropped and resized on demand, with Keras' default workers."""
 
-    def __init__(self, folder: Path, batch: int) -> None:
+    def __init__(self, folder: Path) -> None:
         super().__init__()
         with (folder / "samples.csv").open(newline="") as stream:
             self.samples = [
                 (str(folder / name), flip == "1", float(steering)) for name, flip, steering in csv.reader(stream)
             ]
-        self.batch = batch
         self.random = np.random.default_rng(0)
         self.on_epoch_end()
 
     def __len__(self) -> int:
-        return -(-len(self.samples) // self.batch)
+        return -(-len(self.samples) // BATCH)
 
     def __getitem__(self, number: int) -> tuple[Any, Any]:
-        chosen = self.order[number * self.batch : (number + 1) * self.batch]
+        chosen = self.order[number * BATCH : (number + 1) * BATCH]
         pictures = np.empty((len(chosen), 128, 128, 3), np.float32)
         for picture, at in zip(pictures, chosen, strict=True):
             path, flip, _ = self.samples[at]
@@ -95,7 +95,6 @@ def main() -> None:
     parser.add_argument("pictures", type=Path)
     parser.add_argument("--precision", default="float32", choices=["float32", "mixed_bfloat16"])
     parser.add_argument("--no-xla", action="store_true", help="do not compile; by default Keras compiles")
-    parser.add_argument("--batch", type=int, default=256)
     parser.add_argument("--threads", type=int, default=0, help="threads of TensorFlow's operators; 0: all cores")
     chosen = parser.parse_args()
     tf.config.threading.set_intra_op_parallelism_threads(chosen.threads)
@@ -106,7 +105,7 @@ def main() -> None:
         raise SystemExit(f"{model.count_params():,} parameters, not {PARAMETERS:,}: not the same network")
     compiled = {"jit_compile": False} if chosen.no_xla else {}
     model.compile(optimizer=keras.optimizers.Adam(1e-4), loss="mse", **compiled)
-    model.fit(Pictures(chosen.pictures, chosen.batch), epochs=1_000_000, verbose=0, callbacks=[Turns()])
+    model.fit(Pictures(chosen.pictures), epochs=1_000_000, verbose=0, callbacks=[Turns()])
 
 
 if __name__ == "__main__":

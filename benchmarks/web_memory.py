@@ -1,6 +1,6 @@
 """The memory of bc-web with a project, used as a person would, in several rounds.
 
-python benchmarks/web_memory.py PROJECT [--rounds 4] [--pictures 2000]
+python benchmarks/web_memory.py PROJECT
 
 PROJECT has sessions/, index/ and runs/. A round requests every kind of page once or several times. After each
 kind, the process's own memory (USS) is printed; it must not grow from round to round.
@@ -26,6 +26,8 @@ import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 
 PORT: Final = 8124
 CAMERAS: Final = "center", "left", "right"
+ROUNDS: Final = 4
+PICTURES: Final = 2000  # in a round
 AT_ONCE: Final = 6  # connections of a browser
 DONE: Final = re.compile(rb'"about": ?\{|"is_done": ?true|"problem": ?"[^"]')
 
@@ -61,7 +63,7 @@ def wait_for(path: str) -> None:
         time.sleep(0.2)
 
 
-def uses(pictures: int) -> dict[str, Callable[[], object]]:
+def uses() -> dict[str, Callable[[], object]]:
     """The actions of a person, by name. Each is done once a round."""
     while b"being read" in plain("/sessions.rows"):
         time.sleep(0.2)
@@ -111,7 +113,7 @@ def uses(pictures: int) -> dict[str, Callable[[], object]]:
         "pictures": lambda: at_once(
             [
                 f"/sessions/{logs[at % len(logs)]}/pictures/{CAMERAS[at % 3]}/{at * 7919 % 1000}"
-                for at in range(pictures)
+                for at in range(PICTURES)
             ]
         ),
         "conditions": lambda: [
@@ -142,8 +144,6 @@ def own_mb(process: psutil.Process) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("project", type=Path)
-    parser.add_argument("--rounds", type=int, default=4)
-    parser.add_argument("--pictures", type=int, default=2000)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as cache:
         line = [sys.executable, "-c", "from web.cli import main; main()", "--port", str(PORT)]
@@ -153,8 +153,8 @@ def main() -> None:
                 while not any(connection.laddr.port == PORT for connection in process.net_connections()):
                     time.sleep(0.1)
                 print(f"started: {own_mb(process):.0f} MB")
-                actions = uses(asked.pictures)
-                for turn in range(asked.rounds):
+                actions = uses()
+                for turn in range(ROUNDS):
                     for name, use in actions.items():
                         use()
                         print(f"round {turn + 1}, after {name}: {own_mb(process):.0f} MB", flush=True)
