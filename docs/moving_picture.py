@@ -19,8 +19,6 @@ import io
 import itertools
 import json
 import math
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,13 +29,12 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from playwright.sync_api import Browser, Page, WebSocket, sync_playwright
+from playwright.sync_api import Browser, Page, WebSocket
 
 from common.car import MAX_STEERING_DEG, MPS_PER_MPH
 from simulator.driving.vehicle import WHEELBASE_M
-from web.app import workbench_app
 from web.folders.project_folders import ProjectFolders
-from web.server.workbench_server import WorkbenchServer
+from web_browser import chromium, serving
 
 PICTURE: Final = Path(__file__).absolute().parent / "pictures" / "drive-train-drive.webp"
 NAME: Final = "my-drive"
@@ -272,21 +269,13 @@ def make(browser: Browser, address: str, epochs: int | None) -> None:
 
 def main(epochs: int | None = None) -> None:
     """Make the README's moving picture. The training is stopped after so many epochs, or ends by itself."""
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    flags = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
     with (
         tempfile.TemporaryDirectory() as folder,
         contextlib.chdir(folder),
-        workbench_app(ProjectFolders(), "127.0.0.1", "", Path(folder) / "cache") as app,
-        sync_playwright() as playwright,
+        serving(ProjectFolders()) as address,
+        chromium() as browser,
     ):
-        server = WorkbenchServer(app, "127.0.0.1", 0)
-        server.start()
-        try:
-            browser = playwright.chromium.launch(executable_path=program, args=flags)
-            make(browser, f"http://127.0.0.1:{server.port}", epochs)
-        finally:
-            server.stop()
+        make(browser, address, epochs)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ PROJECT has sessions, an index, two runs and two drives, as bc-demo makes them. 
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,10 +17,10 @@ from urllib.parse import quote, urlencode
 
 import tyro
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
 from web.folders.project_folders import ProjectFolders
-from web_browser import Pages, serving
+from web_browser import Pages, chromium, serving
 
 SIZES: Final = (390, 844), (768, 1024), (1280, 800), (1920, 1080)
 DARK: Final = (768, 1024)
@@ -122,19 +121,15 @@ def sheet(pictures: Sequence[Image.Image]) -> Image.Image:
 
 def main(config: PageSheets) -> None:
     config.folder.mkdir(parents=True, exist_ok=True)
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    flags = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
     folder = config.folder.absolute()
     os.chdir(config.project)  # paths are shown as they are typed there
-    with tempfile.TemporaryDirectory() as empty, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=flags)
+    with tempfile.TemporaryDirectory() as empty, chromium() as browser:
         for folders, are_pages in ((ProjectFolders(), pages_of), (_new(Path(empty)), _first_page)):
             with serving(folders) as address:
                 pages = Pages(browser, address, folder)
                 for shown in are_pages(folders):
                     if not config.only or shown.name in config.only:
                         keep(pages, shown, folder / f"{shown.name}.webp")
-        browser.close()
 
 
 def _new(folder: Path) -> ProjectFolders:

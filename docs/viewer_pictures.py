@@ -28,10 +28,10 @@ _PATIENCE_S: Final = 60.0
 _APART_S: Final = 1.0
 
 
-def screenshot(rrd: Path, timeline: str, at: float, height: int = HEIGHT) -> Picture:
-    """The viewer (height, WIDTH, 3) BGR, showing the recording `rrd` at a place of a time line: a number of a
+def screenshot(rrd: Path, timeline: str, at: float) -> Picture:
+    """The viewer (HEIGHT, WIDTH, 3) BGR, showing the recording `rrd` at a place of a time line: a number of a
     sequence if its name says centimetres, else seconds since 1970."""
-    with _viewer(height + TITLE_BAR) as client:
+    with _viewer() as client:
         client.open(str(rrd.absolute()))
         while client.get_state().loading:
             time.sleep(0.2)
@@ -59,10 +59,10 @@ def _still(client: ViewerClient) -> Picture:
 
 
 @contextlib.contextmanager
-def _viewer(height: int) -> Iterator[ViewerClient]:
+def _viewer() -> Iterator[ViewerClient]:
     port = free_port()
     command = [str(viewer_program()), "--headless", "--bind", LOCAL, "--port", str(port)]
-    command += ["--hide-welcome-screen", "--window-size", f"{WIDTH}x{height}"]
+    command += ["--hide-welcome-screen", "--window-size", f"{WIDTH}x{HEIGHT + TITLE_BAR}"]
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield _connected(f"rerun+http://{LOCAL}:{port}/proxy", viewer)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from PIL import Image
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, sync_playwright
 
 from web.app import workbench_app
 from web.folders.project_folders import ProjectFolders
@@ -60,6 +62,19 @@ class Pages:
         if path.stat().st_size > _LARGE_BYTES:
             picture.quantize(_COLORS).save(path, optimize=True)
         print(path)
+
+
+@contextlib.contextmanager
+def chromium() -> Iterator[Browser]:
+    """Chromium without a window, which draws WebGL in software."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    flags = ["--enable-unsafe-swiftshader"]
+    if os.name == "posix" and os.geteuid() == 0:
+        flags.append("--no-sandbox")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=flags)
+        yield browser
+        browser.close()
 
 
 @contextlib.contextmanager

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +19,10 @@ from urllib.parse import urlencode
 
 import tyro
 from PIL import Image
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser
 
 from web.folders.project_folders import ProjectFolders
-from web_browser import Pages, serving
+from web_browser import Pages, chromium, serving
 
 _PHONE: Final = (390, 844)
 _BETWEEN: Final = 16
@@ -252,19 +251,12 @@ PICTURES: Final = (
 
 
 def main(config: WebPictures) -> None:
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    flags = [
-        "--enable-unsafe-swiftshader",
-        *(["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []),
-    ]
     config = dataclasses.replace(config, folder=config.folder.absolute(), recording=config.recording.absolute())
     os.chdir(config.project)  # paths are shown as they are typed there
     wanted = [make for make in PICTURES if not config.only or make.__name__ in config.only]
-    with serving(ProjectFolders()) as address, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=flags)
+    with serving(ProjectFolders()) as address, chromium() as browser:
         for make in wanted:
             make(Shown(browser, address, config))
-        browser.close()
 
 
 if __name__ == "__main__":
