@@ -22,7 +22,6 @@ from repository import ROOT
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), ROOT / "benchmarks" / "README.md"]
 SOURCES = [path for room in make_architecture.ROOMS for path in make_architecture.modules(room)]
 WRITTEN_BY_COMMANDS = ("sessions/", "index/", "runs/", "drives/", "IMG/")
-FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +49,6 @@ def flags(helps: dict[str, str]) -> dict[str, set[str]]:
         result[name] = {word for word in invocations if word.startswith("--")}
         result[name.split()[0]] |= result[name]
     return result
-
-
-def documentation() -> str:
-    return "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 
 
 def command_lines() -> Iterator[tuple[str, str]]:

@@ -29,7 +29,6 @@ _MAX_SHIFT: Final = 0.25  # share of the width
 _NEAR_PX: Final = 1.5  # the largest distance of a band that fits the line
 _MAX_ASKEW: Final = 0.15  # the largest difference of left and right, as a share of their mean
 
-Gray = NDArray[np.uint8]
 Edges = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
