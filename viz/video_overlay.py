@@ -103,8 +103,8 @@ class Panel:
         for spoke_deg in (-90, 90, 180):
             ends = _on_wheel(turned_deg + spoke_deg, 10), _on_wheel(turned_deg + spoke_deg, 48)
             self._line(*ends, color, 9)
-        self._circle((WHEEL_X, WHEEL_Y), WHEEL_RADIUS, color, 9)
-        self._circle((WHEEL_X, WHEEL_Y), 15, color, -1)
+        self._wheel_circle(WHEEL_RADIUS, color, 9)
+        self._wheel_circle(15, color, -1)
 
     def _arc(self, turned_deg: float, color: Color) -> None:
         points = [_on_wheel(turned_deg + part_deg, WHEEL_RADIUS) for part_deg in range(-10, 11, 2)]
@@ -163,8 +163,8 @@ class Panel:
         first, last = self._points([start, end]).tolist()
         cv2.line(self._canvas, first, last, color, self._thickness(width), cv2.LINE_AA, _SHIFT)
 
-    def _circle(self, centre: tuple[float, float], radius: float, color: Color, width: float) -> None:
-        (at,) = self._points([centre]).tolist()
+    def _wheel_circle(self, radius: float, color: Color, width: float) -> None:
+        (at,) = self._points([(WHEEL_X, WHEEL_Y)]).tolist()
         thickness = self._thickness(width) if width > 0 else -1
         fixed = round(radius * self._scale * (1 << _SHIFT))
         cv2.circle(self._canvas, at, fixed, color, thickness, cv2.LINE_AA, _SHIFT)

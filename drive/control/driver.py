@@ -137,9 +137,9 @@ class Driver:
         """Brake the car to a stand from now on, with the steering as before."""
         self._last_brake = EmergencyBrake()
 
-    def brake_without_telemetry(self, now_s: float | None = None) -> tuple[float, float]:
+    def brake_without_telemetry(self) -> tuple[float, float]:
         """Steering and throttle after `stop`, while no telemetry comes: full brake, then throttle 0."""
-        self._clock.advance(time.monotonic() if now_s is None else now_s, None)
+        self._clock.advance(time.monotonic(), None)
         if self._last_brake is None:
             return self._steering, 0.0
         return self._steering, self._last_brake.throttle(self._clock.safety_s, self._speed_mph)

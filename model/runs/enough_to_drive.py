@@ -78,9 +78,10 @@ def _band(driving_error: float, hand: Hand) -> Band:
     return next((band for band in STUDY[hand] if driving_error < band.below), STUDY[hand][-1])
 
 
-def wilson_interval(count: int, total: int, z: float = 1.96) -> tuple[float, float]:
+def wilson_interval(count: int, total: int) -> tuple[float, float]:
     """The 95 % interval of the share `count` / `total` (E. B. Wilson 1927). It is within 0..1 for all and none,
     too."""
+    z = 1.96
     share, square = count / total, z * z / total
     middle = (share + square / 2) / (1 + square)
     half = z / (1 + square) * math.sqrt(share * (1 - share) / total + square / (4 * total))

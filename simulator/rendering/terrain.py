@@ -35,7 +35,7 @@ class Terrain:
     water_level_m: float
 
 
-def along_road(track: Track, values: NDArray[np.float64], smoothing_m: float = 5.0) -> Field:
+def along_road(track: Track, values: NDArray[np.float64], smoothing_m: float) -> Field:
     """Convert a value for each look to a value for each point of the centre line, with soft transitions."""
     sharp = values[track.look_index]
     reach = max(1, round(smoothing_m / track.line.step_m))
