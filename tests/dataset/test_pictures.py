@@ -20,9 +20,9 @@ def black() -> Image:
     return np.zeros((160, 320, 3), np.uint8)
 
 
-def bilinear(place: int, source_px: int, target_px: int = 128) -> list[float]:
+def bilinear(place: int, source_px: int) -> list[float]:
     """How much of source pixel `place` is in each target pixel: pixel centres lie at halves, ends are repeated."""
-    at = [min(max((i + 0.5) * source_px / target_px - 0.5, 0), source_px - 1) for i in range(target_px)]
+    at = [min(max((i + 0.5) * source_px / 128 - 0.5, 0), source_px - 1) for i in range(128)]
     return [max(0.0, 1 - abs(x - place)) for x in at]
 
 

@@ -66,11 +66,6 @@ def command_after(code: Sequence[str], name: str, *arguments: object) -> list[st
     return [python, flag, "; ".join([*code, line]), *rest]
 
 
-def command_with_viewer(viewer: str, name: str, *arguments: object) -> list[str]:
-    """The same, with this Python code in the place of the viewer that the command starts."""
-    return command_after([with_viewer(viewer)], name, *arguments)
-
-
 def with_viewer(code: str) -> str:
     """Python for `command_after` by which this code takes the place of the viewer."""
     return f"import common.preview; common.preview.VIEWER = ('-c', {code!r})"

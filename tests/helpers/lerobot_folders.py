@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 
-def image_feature(dtype: str = "image") -> dict[str, Any]:
-    return {"dtype": dtype, "shape": [32, 64, 3], "names": ["height", "width", "channels"]}
+def image_feature() -> dict[str, Any]:
+    return {"dtype": "image", "shape": [32, 64, 3], "names": ["height", "width", "channels"]}
 
 
 def numbers_feature(names: object, width: int) -> dict[str, Any]:

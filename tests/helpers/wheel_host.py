@@ -48,9 +48,9 @@ class Host:
 
 
 @contextlib.contextmanager
-def driving_host(log: Path, *, with_network: bool = False, track: str = "lake") -> Iterator[Host]:
+def driving_host(log: Path, *, with_network: bool = False) -> Iterator[Host]:
     """A drive that can be found and steered until the context is left, or a page ends it."""
-    simulation = _simulation(track)
+    simulation = _simulation()
     simulation.course.start()
     about = hello(
         "drive" if with_network else "record",
@@ -61,7 +61,7 @@ def driving_host(log: Path, *, with_network: bool = False, track: str = "lake") 
         picture_hz=1 / (PICTURE_STEPS * STEP_S),
     )
     stopped = threading.Event()
-    with Wheel(f"{track}, {'a-run and me' if with_network else 'me'}", log, about) as wheel:
+    with Wheel(f"lake, {'a-run and me' if with_network else 'me'}", log, about) as wheel:
         host = Host(wheel, log)
         loop = threading.Thread(target=_loop, args=(host, simulation, with_network, stopped), name="host")
         loop.start()
@@ -143,6 +143,6 @@ def _loop(host: Host, simulation: Simulation, with_network: bool, stopped: threa
 
 
 @functools.cache
-def _simulation(track: str) -> Simulation:
+def _simulation() -> Simulation:
     """Its world takes a second to build."""
-    return Simulation(track)
+    return Simulation("lake")

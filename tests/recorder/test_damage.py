@@ -133,10 +133,11 @@ def overwrite(path: Path, position: int, value: int) -> None:
         stream.write(bytes([value]))
 
 
+RECOVER_EVERY = 7  # bytes: recovering takes longer than reading
 EVERY = pytest.mark.parametrize("every", [23, pytest.param(1, marks=pytest.mark.long)])  # odd: both MASKS in turn
 
 
-def complaints_of_flips(path: Path, positions: range, recover_every: int) -> list[str]:
+def complaints_of_flips(path: Path, positions: range) -> list[str]:
     """Flip the bytes of a sound log one by one, and say where that made anything wrong."""
     whole, original = path.read_bytes(), contents(path)
     truth = recorded_in(original.messages)
@@ -152,14 +153,14 @@ def complaints_of_flips(path: Path, positions: range, recover_every: int) -> lis
         for mask in (*MASKS, CHUNK_TO_MESSAGE) if position in chunk_starts else masks:
             overwrite(damaged, position, whole[position] ^ mask)
             given = [f"gave out {wrong}" for wrong in given_out(damaged) - truth]
-            if position % recover_every == 0 or position in chunk_starts:
+            if position % RECOVER_EVERY == 0 or position in chunk_starts:
                 given += wrong_in_recovered(damaged, original.messages, least)
             complaints += [f"byte {position} ^ {mask:#x}: {what}" for what in given]
         overwrite(damaged, position, whole[position])
     return complaints
 
 
-def complaints_of_cuts(path: Path, lengths: range, recover_every: int) -> list[str]:
+def complaints_of_cuts(path: Path, lengths: range) -> list[str]:
     """Cut a sound log at many lengths, and say where what came back is not exactly what was complete."""
     whole, original = path.read_bytes(), contents(path)
     cut = path.with_name("cut.mcap")
@@ -170,7 +171,7 @@ def complaints_of_cuts(path: Path, lengths: range, recover_every: int) -> list[s
         complete = [message for chunk in original.chunks if chunk.end <= length for message in chunk.messages]
         given = given_out(cut)
         what = [] if given == recorded_in(complete) else [f"{len(complete)} are complete, gave out {given}"]
-        if length % recover_every == 0 or any(abs(length - chunk.end) < 2 for chunk in original.chunks):
+        if length % RECOVER_EVERY == 0 or any(abs(length - chunk.end) < 2 for chunk in original.chunks):
             # a chunk that lacks only the end of its compressed frame unpacks to what its CRC tells
             last_row = max((m.sequence for m in complete if m.topic == VEHICLE), default=LAST_ROW)
             finished = [message for message in complete if message.sequence <= last_row]
@@ -185,12 +186,12 @@ def complaints_of_cuts(path: Path, lengths: range, recover_every: int) -> list[s
 
 @EVERY
 def test_no_byte_that_is_flipped_makes_a_log_give_out_anything_wrong(whole: Path, every: int) -> None:
-    assert complaints_of_flips(whole, range(0, whole.stat().st_size, every), recover_every=7) == []
+    assert complaints_of_flips(whole, range(0, whole.stat().st_size, every)) == []
 
 
 @EVERY
 def test_wherever_a_log_is_cut_all_complete_chunks_are_read(whole: Path, every: int) -> None:
-    assert complaints_of_cuts(whole, range(0, whole.stat().st_size, every), recover_every=7) == []
+    assert complaints_of_cuts(whole, range(0, whole.stat().st_size, every)) == []
 
 
 @EVERY
@@ -201,8 +202,8 @@ def test_the_same_holds_for_compressed_logs(tmp_path: Path, compression: Compres
     path = write_plain(tmp_path / "whole.mcap", compression, range(3))
     size = path.stat().st_size
     assert len(contents(path).chunks) == 2
-    assert complaints_of_flips(path, range(0, size, every), recover_every=7) == []
-    assert complaints_of_cuts(path, range(0, size, max(every, 5)), recover_every=7) == []
+    assert complaints_of_flips(path, range(0, size, every)) == []
+    assert complaints_of_cuts(path, range(0, size, max(every, 5))) == []
 
 
 @pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.long)])

@@ -21,11 +21,8 @@ VALUES = [(0.0, 1.0, 0.0, 7.8e-05), (-0.35, 0.25, 0.0, 12.1822), (0.05, 0.0, 1.0
 CELLS = ["0,1,0,7.8E-05", "-0.35,0.25,0,12.1822", "0.05,0,1,30.19"]
 
 
-def three_rows(prefix: str = "IMG/", separator: str = ",", end: str = "\n") -> str:
-    return "".join(
-        paths(number, prefix, separator) + separator + cells.replace(",", separator) + end
-        for number, cells in enumerate(CELLS)
-    )
+def three_rows(prefix: str = "IMG/", end: str = "\n") -> str:
+    return "".join(f"{paths(number, prefix)},{cells}{end}" for number, cells in enumerate(CELLS))
 
 
 def values_of(log: Path) -> list[tuple[float, float, float, float]]:
