@@ -221,7 +221,7 @@ class DriveSession:
         if kind is None and self._at_wheel is not None and self._at_wheel.last_rows.tags:
             close_with_tags(self.writer, self._at_wheel.last_rows.tags)
         self.writer.__exit__(kind)
-        if self._at_wheel is not None:
+        if kind is None and self._at_wheel is not None:
             self._at_wheel.end(self.writer.path, self.log.frames)
         if failure is not None:
             raise failure

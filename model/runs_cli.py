@@ -151,7 +151,7 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             escape(printable(_network_words(run))),
             f"{len(run.sessions):,}",
             escape(printable(run.recipe)),
-            f"{run.kept_epoch or '-'}/{run.epochs}",
+            run.epochs_in_short,
             *([marks.get(run.split, "-")] if marks else []),
             decimal(run.rmse_share, 2),
             decimal(run.balanced_rmse_share, 2),

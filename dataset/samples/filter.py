@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Final, TypeVar
@@ -34,13 +36,14 @@ Answer = TypeVar("Answer")
 class Condition:
     """A condition on the columns of the frames, such as "speed_mph > 5 and 'recovery' in tags"."""
 
-    def __init__(self, where: str) -> None:
-        """Raises UserError if DuckDB is not installed."""
+    def __init__(self, where: str, max_s: float = math.inf) -> None:
+        """`max_s`: the longest time for an evaluation. Raises UserError if DuckDB is not installed."""
         try:
             import duckdb  # an optional package: only --where needs it
         except ImportError:
             raise UserError(f"--where needs DuckDB: run `{install_line('where')}`") from None
         self._where = where
+        self._max_s = max_s
         self._error: type[Exception] = duckdb.Error
         self._connection = duckdb.connect(config=_CLOSED)
 
@@ -50,7 +53,7 @@ class Condition:
 
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
         """A mask (N,) of the rows of `frames` that meet the condition. Raises DatasetError if this is not a
-        condition on their columns."""
+        condition on their columns, or takes too long."""
         rows, again = self._answered(
             frames, lambda chosen: [np.sort(chosen.fetchnumpy()[_NUMBER]) for _ in range(2)]
         )
@@ -82,9 +85,12 @@ class Condition:
         handles signals itself, and an exception of Python's handler is replaced or lost."""
         with ThreadPoolExecutor(1) as pool:
             pending = pool.submit(query)
+            end_s = time.monotonic() + self._max_s
             try:
-                while not pending.done():
+                while not pending.done() and time.monotonic() < end_s:
                     wait([pending], _PATIENCE_S)
+                if not pending.done():
+                    raise DatasetError(f"--where {self._where!r}: takes longer than {self._max_s:g} s")
             finally:
                 while not pending.done():  # repeated, because the query may not have begun at the first interrupt
                     self._connection.interrupt()

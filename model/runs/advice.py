@@ -189,8 +189,11 @@ def has_one_camera(numbers: RunNumbers) -> Advice | None:
 
 
 def nothing_stands_out(numbers: RunNumbers) -> Advice:
-    if numbers.measured is None:
-        return Advice("nothing of it is measured yet", f"bc-eval {numbers.run}")
+    if numbers.measured is None and not numbers.drives:  # no frame is held out: `bc-eval RUN` would measure none
+        drive = numbers.drive_command
+        if numbers.is_built_in:
+            drive = f"bc-eval {numbers.run} --simulator lake mountain"
+        return Advice("nothing of it is measured yet; a drive shows how good it is", drive)
     return Advice("nothing in its numbers stands out; recordings of other roads help most", _record(numbers))
 
 

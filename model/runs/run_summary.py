@@ -70,6 +70,11 @@ class RunSummary:
         return _share(self.balanced_rmse_deg, self.mean_balanced_rmse_deg)
 
     @property
+    def epochs_in_short(self) -> str:
+        """The kept epoch of those learnt; before the first one, how many were asked for."""
+        return f"{self.kept_epoch or '-'}/{self.epochs}" if self.epochs else f"0 of {self.epochs_asked}"
+
+    @property
     def unit(self) -> SteeringUnit:
         """The unit in which people read the errors."""
         return steering_unit(self.max_deg)

@@ -399,7 +399,7 @@ class LogWriter:
     def _broken(self, error: OSError) -> UserError:
         """The error for a disk that is full or gone."""
         self._is_broken = True
-        if not self._live:
+        if not (self._live and self._has_messages):
             return UserError(f"{self.path}: cannot be written ({error.strerror}); nothing was kept of it")
         return UserError(
             f"{self.part}: cannot be written any further ({error.strerror}); it has all rows until now:"

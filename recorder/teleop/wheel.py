@@ -26,6 +26,7 @@ from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
 from websockets.sync.server import ServerConnection, serve
 
+from common import UserError
 from recorder.teleop.messages import (
     MAX_MESSAGE_BYTES,
     AskMessage,
@@ -164,8 +165,9 @@ class Wheel:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.end({"why": "the drive has ended"})
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        reason = f": {error}" if isinstance(error, UserError) else ""
+        self.end({"why": f"the drive has ended{reason}"})
         self._stack.close()
 
     def _check(self, connection: ServerConnection, request: HttpRequest) -> Response | None:

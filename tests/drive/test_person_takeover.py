@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from common import UserError
+from disk import files_of_at_most
 from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
 from drive.control.takeover import PILOT_DRIVES
@@ -30,6 +33,11 @@ from wheel_page import WheelPage
 PERSON = 0.625  # what no network here answers
 
 
+def telemetry(speed_mph: float) -> dict[str, str]:
+    image = base64.b64encode(road_jpeg(0)).decode()
+    return {"steering_angle": "0", "throttle": "0", "speed": f"{speed_mph:.4f}", "image": image}
+
+
 @dataclass
 class Supervised:
     """A drive with a person at its wheel, and a simulator that sends a telemetry when the test says so."""
@@ -40,9 +48,7 @@ class Supervised:
     log: Path
 
     def drive(self, speed_mph: float = 9.0) -> Steer:
-        image = base64.b64encode(road_jpeg(0)).decode()
-        data = {"steering_angle": "0", "throttle": "0", "speed": f"{speed_mph:.4f}", "image": image}
-        answer = self.server.telemetry("simulator", data, time.perf_counter())
+        answer = self.server.telemetry("simulator", telemetry(speed_mph), time.perf_counter())
         answer.on_sent(1.0)
         assert answer.command is not None
         return answer.command
@@ -204,6 +210,22 @@ def test_the_page_ends_the_drive(supervised: Supervised) -> None:
     supervised.sent()
     supervised.server.tick()
     assert supervised.server.session.is_end_asked
+
+
+def test_the_page_is_told_why_the_log_cannot_be_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    pilot, log = load_pilot(untrained_run(tmp_path / "first")), tmp_path / "run.mcap"
+    with contextlib.ExitStack() as stack:
+        with (
+            contextlib.suppress(UserError),
+            Wheel("first", log, {"kind": "drive"}) as wheel,
+            DriveServer(pilot, DriveConfig(), log, port=0, at_wheel=AtWheel(wheel, DriveConfig())) as server,
+        ):
+            page = stack.enter_context(WheelPage())
+            server.connected("simulator")
+            server.telemetry("simulator", telemetry(9.0), time.perf_counter()).on_sent(1.0)
+            stack.enter_context(files_of_at_most(2000))
+        assert "cannot be written any further" in page.text("ended")["why"]
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,15 @@ def test_runs_stand_beside_one_another(
     assert " ".join(row[8:]) == "no better 10 mph: lake 2"
 
 
+def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    (a_run(tmp_path, "first") / "metrics.jsonl").unlink()
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    assert "people 0 of 3 - -" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_supervised_drive_says_how_many_interventions_are_a_persons(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -275,7 +275,11 @@ def test_rows_are_advised_before_epochs_where_hardly_a_turn_is_learnt() -> None:
 def test_the_rules_have_an_end() -> None:
     """The last one always has an advice, also of a run of which nothing is known."""
     empty = run_numbers(Path("runs/first"), {}, [])
-    assert RULES[-1](empty) == Advice("nothing of it is measured yet", "bc-eval first")
+    why = "nothing of it is measured yet; a drive shows how good it is"
+    assert RULES[-1](empty) == Advice(why, "bc-drive first")
+    assert RULES[-1](run_numbers(Path("runs/first"), sound(), [])) == Advice(
+        why, "bc-eval first --simulator lake mountain"
+    )
     assert verdict_of(empty).summary == "nothing was held out, so its error is unknown"
 
 

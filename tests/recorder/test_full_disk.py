@@ -18,7 +18,7 @@ from driving import PATIENCE_S, Process, command
 from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
 from logs import read_messages
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
-from recorder import import_udacity
+from recorder import LogWriter, import_udacity
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.import_donkeycar import import_tub
 from recorder.sources.import_lerobot import import_lerobot
@@ -115,6 +115,17 @@ def test_nothing_of_a_folder_for_the_real_simulator_stays(tmp_path: Path, is_the
     ):
         record_simulated(SHORT_DRIVE, tmp_path / "sessions" / "x.mcap", udacity=folder)
     assert sorted(tmp_path.rglob("*")) == ([folder.parent, folder] if is_there else [])
+
+
+def test_a_log_without_a_message_is_not_advised_to_be_recovered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
+    writer = LogWriter(tmp_path / "run.mcap", {"source": "drive"}, live=True)
+    with files_of_at_most(10), pytest.raises(UserError, match=r"run.mcap: cannot be written .*nothing was kept"):
+        writer.flush_if_due()
+    writer.__exit__(UserError)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_does_not_stay_without_its_log(tmp_path: Path) -> None:

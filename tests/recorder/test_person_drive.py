@@ -18,8 +18,10 @@ import cv2
 import numpy as np
 import pytest
 
+from common import UserError
 from common.car import CAMERAS, Camera
 from dataset import build_index
+from disk import files_of_at_most
 from driving import Process, command, road_jpeg
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
@@ -319,6 +321,16 @@ def test_a_drive_without_a_row_leaves_no_log(tmp_path: Path) -> None:
         assert drive.end(page)["rows"] == 0
     assert isinstance(drive.error, RecordingError)
     assert not list(tmp_path.glob("*.mcap*"))
+
+
+def test_the_page_is_told_why_the_disk_ended_the_drive(tmp_path: Path) -> None:
+    drive = Drive(tmp_path / "full.mcap")
+    with drive.page() as page:
+        page.send("record")
+        page.drive_until(lambda state: state["rows"] >= 2, hold_mph=10)
+        with files_of_at_most(2000):
+            assert "make room and run" in page.text("ended")["why"]
+    assert isinstance(drive.error, UserError)
 
 
 def test_the_laps_that_were_asked_for_end_the_drive(tmp_path: Path) -> None:

@@ -71,6 +71,22 @@ def test_each_run_is_told_as_bc_runs_tells_it(bench: Served) -> None:
     assert "<b>'" not in bench.get("/runs").text
 
 
+def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(tmp_path: Path) -> None:
+    (a_run(tmp_path / "runs", "young") / "metrics.jsonl").unlink()
+    with served(tmp_path) as bench:
+        wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
+        assert "people 2 0 of 3 -" in rows(bench)["young"]
+
+
+def test_a_run_of_an_index_that_holds_nothing_out_has_no_error(tmp_path: Path) -> None:
+    metrics = a_run(tmp_path / "runs", "blind") / "metrics.jsonl"
+    metrics.unlink()
+    write_lines(metrics, [epoch_line(1, frames=0)])
+    with served(tmp_path) as bench:
+        wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
+        assert "held-out frames none: its error is unknown" in page(bench, "blind")
+
+
 def test_curves_lie_over_each_other_and_settings_beside(bench: Served) -> None:
     other = key_of(bench, AWKWARD)
     chosen = f"?run=good&run={other}&run=broken&run=none"

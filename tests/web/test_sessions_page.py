@@ -118,6 +118,23 @@ def test_the_condition_of_bc_index_finds_rows(bench: Served) -> None:
     assert "root:" not in page
 
 
+@pytest.mark.parametrize(
+    ("where", "problem"),
+    [
+        ("(select count(*) from range(10000000000000)) > row", "takes longer than 0.2 s"),
+        ("cast(session as integer) > 1", "Conversion Error"),
+    ],
+)
+def test_a_condition_that_fails_on_a_log_does_not_hang(
+    bench: Served, monkeypatch: pytest.MonkeyPatch, where: str, problem: str
+) -> None:
+    pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
+    monkeypatch.setattr("web.logs.where_search._MAX_S", 0.2)
+    wait_until(lambda: problem in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
+    answer = bench.get(f"/sessions.found?{urlencode({'where': where})}")
+    assert (answer.status, problem in answer.text) == (422, True)
+
+
 def test_the_film_strip_shows_the_sessions_pictures(bench: Served) -> None:
     """Four of them, from its beginning to its end."""
     answer = bench.get("/sessions/plain/strip.jpg")

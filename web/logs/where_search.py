@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import Final
 
@@ -14,6 +14,7 @@ from common import UserError
 from common.errors import printable
 from common.location import Location
 from dataset.config import IndexConfig
+from dataset.errors import DatasetError
 from dataset.frames.frames_file import FRAMES_SCHEMA
 from dataset.frames.frames_table import frames_table
 from dataset.samples.filter import Condition
@@ -24,6 +25,7 @@ from web.folders.project_folders import ProjectFolders
 
 _MAX_SEARCHES: Final = 8  # kept
 _MAX_CHARACTERS: Final = 2000  # of a condition
+_MAX_S: Final = 10.0  # for a log: other logs wait to be read
 
 
 class WhereSearches:
@@ -43,14 +45,14 @@ class WhereSearches:
 
     def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> dict[Location, int]:
         """The number of rows that meet the condition in each log that is searched within `patience_s`; 0 for an
-        unreadable log. Raises UserError for an invalid condition."""
+        unreadable log. Raises UserError for an invalid condition, and for one that fails on a log."""
         if len(where) > _MAX_CHARACTERS:
             raise UserError(f"a condition of {len(where):,} characters: at most {_MAX_CHARACTERS:,} are allowed")
         with self._lock:
             search = self._searches.get(where)
         if search is None:
             _check(where)
-            search = Background[Location, int](self._pool, lambda path, version: len(self.numbers(where, path)))
+            search = Background[Location, int](self._pool, self._count(where))
             with self._lock:
                 self._searches[where] = search
                 while len(self._searches) > _MAX_SEARCHES:
@@ -59,15 +61,33 @@ class WhereSearches:
         version_of, version_of_log = self._folders.version_of, self._folders.version_of_log
         versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
         results = search.results(versions, patience_s)
+        for result in results.values():
+            if isinstance(result, DatasetError):
+                raise UserError(printable(str(result)))
         return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
 
+    def _count(self, where: str) -> Callable[[Location, str], int]:
+        """The function that counts the rows of a log. After the condition has failed, it fails for all logs."""
+        failures: list[DatasetError] = []
+
+        def count(path: Location, version: str) -> int:
+            if failures:
+                raise failures[0]
+            try:
+                return len(self.numbers(where, path))
+            except DatasetError as error:
+                failures.append(error)
+                raise
+
+        return count
+
     def numbers(self, where: str, path: Location) -> set[int]:
-        """The rows of a log that meet the condition. Raises UserError for an invalid condition or an unreadable
-        log."""
+        """The rows of a log that meet the condition. Raises DatasetError for a condition that is invalid or takes
+        too long, and LogError for an unreadable log."""
         self._folders.refuse_unanswered(path)
         with Log(path) as log:
             frames = frames_table(log, self._folders.local_index, IndexConfig(), read_tags(path, log.fingerprint))
-        return set(frames["row"].filter(pa.array(Condition(where).holds(frames))).to_pylist())
+        return set(frames["row"].filter(pa.array(Condition(where, _MAX_S).holds(frames))).to_pylist())
 
 
 def _check(where: str) -> None:
