@@ -123,15 +123,15 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
         values = {"run": name, "takeovers": str(log), "name": run, "epochs": str(EPOCHS_MORE)}
-        return [*form_of("learn").words(values, folders), f"--recipe={QUICK_RECIPE}"], run
+        return [*form_of("learn").words(values, folders), f"--recipe={TAKEOVERS_RECIPE}"], run
     with Log(log) as session:
         epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
-    values = {"name": run, "epochs": str(epochs), "recipe": QUICK_RECIPE}
+    values = {"name": run, "epochs": str(epochs)}
     return [*form_of("train").words(values, folders), "--on", as_argument(name)], run
 
 
-QUICK_RECIPE: Final[Recipe] = "people"
-"""For few epochs: without altered pictures, as networks were measured (docs/at-the-wheel.md)."""
+TAKEOVERS_RECIPE: Final[Recipe] = "people"
+"""Without altered pictures, as learning from takeovers was measured (docs/at-the-wheel.md)."""
 
 
 def quick_epochs(rows: int) -> int:
