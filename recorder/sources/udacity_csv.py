@@ -2,9 +2,9 @@
 
     IMG/center_2024_07_13_14_30_16_000.jpg,IMG/left_....jpg,IMG/right_....jpg,steering,throttle,brake,speed
 
-Published recordings have many oddities, which are all accepted: mixed separators, foreign paths, a header,
-scientific notation, decimal commas, a last row that is cut off. Simulators with one camera leave the other two
-paths empty. A row without four numbers after its pictures is skipped.
+Published recordings have many oddities, which are all accepted: mixed separators, a spreadsheet's semicolons or
+tabs, foreign paths, a header, scientific notation, decimal commas, a last row that is cut off. Simulators with
+one camera leave the other two paths empty. A row without four numbers after its pictures is skipped.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _PATHS = re.compile(f"{_PATH}{_PATH_OR_NONE}{_PATH_OR_NONE}(.*)$", re.IGNORECASE
 _TIME_IN_NAME = re.compile(
     r"_(\d{4})_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d{3})\.jpe?g$", re.IGNORECASE | re.ASCII
 )
-_HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
+_HEADER = re.compile(r'^\s*"?center"?\s*[,;\t]', re.IGNORECASE)
 _NAME_PADDING = string.whitespace + '"'
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -200,11 +200,18 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[_Values]:
 
 def _names(text: str) -> tuple[tuple[str, str, str], str]:
     """The file names (centre, left, right) of a line, and the rest. Raises ValueError with the row's error."""
-    match = _PATHS.match(text)
+    match = _PATHS.match(text) or _PATHS.match(_with_commas(text))
     if match is None:
         raise ValueError("fewer than three columns of pictures, or cut off")
     center, left, right = (re.split(r"[/\\]", path)[-1].strip(_NAME_PADDING) for path in match.group(1, 2, 3))
     return (center, left, right), match.group(4)
+
+
+def _with_commas(text: str) -> str:
+    """A line with semicolons or tabs, as one with commas and with quotes: values may have decimal commas."""
+    separator = max(";\t", key=text.count)
+    cells = text.replace('"', "").rstrip(separator + string.whitespace).split(separator)
+    return ",".join(f'"{cell.strip()}"' for cell in cells)
 
 
 def _time_in(names: tuple[str, str, str]) -> int | None:

@@ -64,6 +64,23 @@ def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
+@pytest.mark.parametrize("separator", [";", "\t", " ; "], ids=["semicolon", "tab", "spaces"])
+def test_a_csv_that_a_spreadsheet_has_saved(tmp_path: Path, separator: str) -> None:
+    """In countries with decimal commas, Excel separates with semicolons."""
+    header = "center,left,right,steering,throttle,brake,speed".replace(",", separator)
+    rows = [
+        separator.join([paths(number, "C:\\a, b\\", separator), *cells.replace(".", "|").split(",")])
+        for number, cells in enumerate(CELLS)
+    ]
+    csv = "\n".join([header, *rows]).replace("|", ",")
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+def test_semicolons_with_one_camera(tmp_path: Path) -> None:
+    make_recording(tmp_path, f"{picture_name('center', 0)};;;-0,5;0;1;3,25;;\n", [0])
+    assert values_of(imported(tmp_path).path) == [(-0.5, 0.0, 1.0, 3.25)]
+
+
 @pytest.mark.parametrize(
     "prefix",
     [
