@@ -36,6 +36,7 @@ _TIME_IN_NAME = re.compile(
 _HEADER = re.compile(r'^\s*"?center"?\s*[,;\t]', re.IGNORECASE)
 _NAME_PADDING = string.whitespace + '"'
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # PowerShell's `>` writes UTF-16
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
@@ -83,8 +84,11 @@ class RowReader:
     def read(self, line: int, content: bytes) -> Row | None:
         """The row of this line (numbered from 1); None without one.
 
-        Raises RecordingError if the first row's pictures have times in their names, but a rate was given.
+        Raises RecordingError for a csv in UTF-16, and if the first row's pictures have times in their names, but a
+        rate was given.
         """
+        if line == 1 and content.startswith(UTF16_MARKS):
+            raise RecordingError("driving_log.csv: its text is UTF-16; save it as UTF-8")
         if len(content) > MAX_LINE_BYTES:
             self._position += 1
             self._skipped.add(f"rows with more than {MAX_LINE_BYTES:,} bytes", f"line {line}")

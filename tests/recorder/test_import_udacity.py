@@ -101,6 +101,12 @@ def test_accents_in_the_encoding_of_another_machine(tmp_path: Path, encoding: st
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
+def test_utf_16_is_named(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows().encode("utf-16"))
+    with pytest.raises(RecordingError, match=r"driving_log\.csv: its text is UTF-16; save it as UTF-8"):
+        imported(tmp_path)
+
+
 @pytest.mark.parametrize("img", ["IMG", ".", "../IMG"])
 def test_pictures_are_found_beside_the_csv_and_above_it(tmp_path: Path, img: str) -> None:
     folder = tmp_path / "drive"
