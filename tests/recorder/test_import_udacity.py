@@ -466,6 +466,11 @@ def test_a_name_that_no_index_can_hold_is_refused_at_once(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_name_with_its_ending_is_given_back_without(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "my drive.mcap") == 2
+    assert "`bc-record 'my drive'`" in one_line_in(capsys)
+
+
 def test_every_split_of_a_decimal_comma_row_that_is_written_is_read(tmp_path: Path) -> None:
     """All combinations of whole and broken numbers that a drive at a steady speed can have."""
     rows = list(itertools.product(("0", "-0,25"), ("1", "0,75"), ("0",), ("20,5", "20,4375")))
