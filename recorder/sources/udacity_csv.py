@@ -33,7 +33,8 @@ _PATHS = re.compile(f"{_PATH}{_PATH_OR_NONE}{_PATH_OR_NONE}(.*)$", re.IGNORECASE
 _TIME_IN_NAME = re.compile(
     r"_(\d{4})_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d{3})\.jpe?g$", re.IGNORECASE | re.ASCII
 )
-_HEADER = re.compile(r'^\s*"?center"?\s*[,;\t]', re.IGNORECASE)
+_COLUMNS = ("center", "left", "right", "steering", "throttle", "brake", "speed")
+_HEADER = re.compile(rf'^\s*"?({"|".join(_COLUMNS)})"?\s*[,;\t]', re.IGNORECASE)
 _NAME_PADDING = string.whitespace + '"'
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # PowerShell's `>` writes UTF-16
@@ -84,8 +85,8 @@ class RowReader:
     def read(self, line: int, content: bytes) -> Row | None:
         """The row of this line (numbered from 1); None without one.
 
-        Raises RecordingError for a csv in UTF-16, and if the first row's pictures have times in their names, but a
-        rate was given.
+        Raises RecordingError for a csv in UTF-16, for a header with another order, and if the first row's pictures
+        have times in their names, but a rate was given.
         """
         if line == 1 and content.startswith(UTF16_MARKS):
             raise RecordingError("driving_log.csv: its text is UTF-16; save it as UTF-8")
@@ -96,7 +97,10 @@ class RowReader:
         # Foreign encodings do not matter: only the file's name counts, and its undecodable bytes are kept as the
         # file system keeps them.
         text = os.fsdecode(content.removeprefix(_BYTE_ORDER_MARK) if line == 1 else content)
-        if not text.strip() or _HEADER.match(text):
+        if not text.strip():
+            return None
+        if _HEADER.match(text):
+            _check_order(line, text)
             return None
         self._position += 1
         try:
@@ -200,6 +204,16 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[_Values]:
             steering, throttle, brake, speed_mph = numbers
             if abs(steering) <= 1 and 0 <= throttle <= 1 and 0 <= brake <= 1 and -100 < speed_mph < math.inf:
                 yield steering, throttle, brake, speed_mph
+
+
+def _check_order(line: int, header: str) -> None:
+    names = (name.strip(_NAME_PADDING).lower() for name in re.split(r"[,;\t]", header))
+    known = list(dict.fromkeys(name for name in names if name in _COLUMNS))
+    if known != sorted(known, key=_COLUMNS.index):
+        raise RecordingError(
+            f"driving_log.csv: line {line} names the columns {', '.join(known)}; expected the order"
+            f" {', '.join(_COLUMNS)}. Sort the columns, or name them with --columns"
+        )
 
 
 def _names(text: str) -> tuple[tuple[str, str, str], str]:

@@ -120,6 +120,17 @@ def test_a_header_is_no_row(tmp_path: Path, title: str) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
+@pytest.mark.parametrize(
+    "header",
+    ["left,center,right,steering,throttle,brake,speed", "center,left,right,throttle,steering,reverse,speed"],
+)
+def test_columns_in_another_order_are_refused(tmp_path: Path, header: str) -> None:
+    """They would be read as others: the left picture as the centre's, the throttle as steering."""
+    make_recording(tmp_path, f"{header}\n{three_rows()}")
+    with pytest.raises(RecordingError, match="expected the order center, left, right, steering, throttle"):
+        imported(tmp_path)
+
+
 def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
     csv = "\n" + three_rows(end="\n\n") + " \r\n\n"
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
