@@ -155,7 +155,8 @@ def _refuse_contradictions(config: Record) -> None:
     if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or printable(name) != name:
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):
-        raise UsageError(f"{name}: give the name without its ending: `bc-record {name.removesuffix('.mcap')}`")
+        command = f"bc-record {shlex.quote(name.removesuffix('.mcap'))}"
+        raise UsageError(f"{name}: give the name without its ending: `{command}`")
     if config.source is not None and config.listen:
         raise UsageError("--from and --listen: give one of them")
     if config.watch and config.source is None:

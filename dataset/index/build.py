@@ -171,7 +171,7 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
             raise DatasetError(
                 f"sessions {first_name} and {name}: steering 1 is {first_deg:g} degrees in one and"
                 f" {other_deg:g} in the other; build an index for each (`bc-index"
-                f" {name} ... --index PATH`)"
+                f" {shlex.quote(name)} ... --index PATH`)"
             )
 
 

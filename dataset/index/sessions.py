@@ -15,6 +15,7 @@ from dataset.index.build_state import Stat, Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from recorder import Log
+from recorder.errors import recovery
 from recorder.log.logs_in_folder import logs_in
 
 
@@ -143,8 +144,8 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
     """A line for each unfinished recording in `folder`; with `sessions`, only for recordings of these names."""
     return [
-        f"{part}: not indexed: its recording is running or was killed; if killed, run `bc-log recover {part}`,"
-        " and remove it"
+        f"{part}: not indexed: its recording is running or was killed; if killed, run {recovery(part)}, and"
+        " remove it"
         for part in (sorted(folder.glob("*.mcap.*.part")) if isinstance(folder, Path) else ())
         if not sessions or session_name(part) in sessions
     ]

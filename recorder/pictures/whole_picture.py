@@ -18,10 +18,10 @@ from recorder.pictures.picture_size import MAX_PIXELS, PNG_START, has_too_many_s
 PADDING_BYTES: Final = 64  # some cameras pad the end of a file
 
 _START: Final = b"\xff\xd8"
-_END, _SOS, _DHT = 0xD9, 0xDA, 0xC4
+_END, _SOS = 0xD9, 0xDA
 _WITHOUT_LENGTH: Final = frozenset(range(0xD0, 0xD9))
-_FRAMES: Final = frozenset((0xC0, 0xC1, 0xC2))  # baseline and progressive, with Huffman tables
-_OTHER_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - _FRAMES - {_DHT}
+# lossless and hierarchical frames
+_OTHER_FRAMES: Final = frozenset((0xC3, 0xC5, 0xC6, 0xC7, 0xC8, 0xCB, 0xCD, 0xCE, 0xCF))
 # In coded data, 0xFF is followed by 0 if it is data; otherwise it is filling or begins a restart.
 _SCAN_END: Final = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 
@@ -32,7 +32,7 @@ _NO_CONTENT: Final = _CHUNK.size + _CRC.size
 
 
 def is_whole_jpeg(data: bytes) -> bool:
-    """True for one complete JPEG of a kind that OpenCV decodes: baseline or progressive, Huffman-coded."""
+    """True for one complete JPEG of a kind that OpenCV decodes: baseline or progressive."""
     return whole_jpeg_size(data) is not None
 
 

@@ -19,6 +19,7 @@ from common.whole_number import whole_number
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError, readable
 from recorder.sources.imported_rows import vehicle_state
+from recorder.sources.udacity_csv import UTF16_MARKS
 
 MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
@@ -49,7 +50,7 @@ class CsvColumns:
         for text in given:
             key, separator, name = text.partition("=")
             if key not in KEYS or not separator or not name:
-                hint = f" {hint}" if (hint := did_you_mean(key, KEYS)) else ""
+                hint = f" {hint}" if key not in KEYS and (hint := did_you_mean(key, KEYS)) else ""
                 raise RecordingError(
                     f"--columns {printable(text)}: expected WHAT=COLUMN, where WHAT is one of"
                     f" {', '.join(KEYS)}.{hint}"
@@ -74,12 +75,15 @@ class CsvColumns:
     def rows(self, path: Path, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         """The usable rows of a csv, with steering multiplied by `scale`.
 
-        The delimiter is the most frequent of , ; and tab in the first line. With ; numbers may have decimal
-        commas. Raises RecordingError if the csv cannot be read, or lacks a column.
+        The delimiter is the most frequent of ; tab and , in the first line. With ; and tab, numbers may have
+        decimal commas. The text is UTF-8, or UTF-16 with a mark. Raises RecordingError if the csv cannot be read,
+        or lacks a column.
         """
         try:
             with readable(path), open_regular(path) as stream:
-                text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
+                encoding = "utf-16" if stream.read(2) in UTF16_MARKS else "utf-8-sig"
+                stream.seek(0)
+                text = io.TextIOWrapper(stream, encoding, errors="replace", newline="")
                 yield from self._rows(path, text, scale, skipped)
         except csv.Error as error:
             raise RecordingError(f"{path}: not a csv ({error})") from None
@@ -87,7 +91,7 @@ class CsvColumns:
     def _rows(self, path: Path, text: io.TextIOWrapper, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         lines = _lines(text)
         first = next(lines, "")
-        delimiter = max(",;\t", key=first.count)
+        delimiter = max(";\t,", key=first.count)  # if equal, the commas are decimal
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
         at = self._positions(path, header)
         has_header = at is not None
@@ -97,7 +101,7 @@ class CsvColumns:
         reader = csv.reader(rest, delimiter=delimiter)
         for index, cells in enumerate(filter(any, reader)):
             line = reader.line_num + has_header
-            row = self._row(line, index, cells, at, scale, delimiter == ";")
+            row = self._row(line, index, cells, at, scale, delimiter != ",")
             if isinstance(row, str):
                 skipped.add(row, f"line {line}")
             else:

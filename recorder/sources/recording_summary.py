@@ -89,7 +89,7 @@ def _csv(source: Path) -> RecordingSummary:
             first = stream.readline(MAX_LINE_CHARACTERS).decode("utf-8-sig", errors="replace")
             lines = iter(lambda: stream.readline(MAX_LINE_CHARACTERS), b"")
             count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
-        names = next(csv.reader([first], delimiter=max(",;\t", key=first.count)), [])
+        names = next(csv.reader([first], delimiter=max(";\t,", key=first.count)), [])
     except csv.Error as error:
         raise RecordingError(f"{source}: not a csv ({error})") from None
     columns = tuple(printable(name.strip()) for name in names[:_MAX_LISTED])

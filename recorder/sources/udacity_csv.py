@@ -2,9 +2,9 @@
 
     IMG/center_2024_07_13_14_30_16_000.jpg,IMG/left_....jpg,IMG/right_....jpg,steering,throttle,brake,speed
 
-Published recordings have many oddities, which are all accepted: mixed separators, foreign paths, a header,
-scientific notation, decimal commas, a last row that is cut off. Simulators with one camera leave the other two
-paths empty. A row without four numbers after its pictures is skipped.
+Published recordings have many oddities, which are all accepted: mixed separators, a spreadsheet's semicolons or
+tabs, foreign paths, a header, scientific notation, decimal commas, a last row that is cut off. Simulators with
+one camera leave the other two paths empty. A row without four numbers after its pictures is skipped.
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ _PATHS = re.compile(f"{_PATH}{_PATH_OR_NONE}{_PATH_OR_NONE}(.*)$", re.IGNORECASE
 _TIME_IN_NAME = re.compile(
     r"_(\d{4})_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d\d)_(\d{3})\.jpe?g$", re.IGNORECASE | re.ASCII
 )
-_HEADER = re.compile(r'^\s*"?center"?\s*,', re.IGNORECASE)
+_COLUMNS = ("center", "left", "right", "steering", "throttle", "brake", "speed")
+_HEADER = re.compile(rf'^\s*"?({"|".join(_COLUMNS)})"?\s*[,;\t]', re.IGNORECASE)
 _NAME_PADDING = string.whitespace + '"'
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # PowerShell's `>` writes UTF-16
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
@@ -83,8 +85,11 @@ class RowReader:
     def read(self, line: int, content: bytes) -> Row | None:
         """The row of this line (numbered from 1); None without one.
 
-        Raises RecordingError if the first row's pictures have times in their names, but a rate was given.
+        Raises RecordingError for a csv in UTF-16, for a header with another order, and if the first row's pictures
+        have times in their names, but a rate was given.
         """
+        if line == 1 and content.startswith(UTF16_MARKS):
+            raise RecordingError("driving_log.csv: its text is UTF-16; save it as UTF-8")
         if len(content) > MAX_LINE_BYTES:
             self._position += 1
             self._skipped.add(f"rows with more than {MAX_LINE_BYTES:,} bytes", f"line {line}")
@@ -92,7 +97,10 @@ class RowReader:
         # Foreign encodings do not matter: only the file's name counts, and its undecodable bytes are kept as the
         # file system keeps them.
         text = os.fsdecode(content.removeprefix(_BYTE_ORDER_MARK) if line == 1 else content)
-        if not text.strip() or _HEADER.match(text):
+        if not text.strip():
+            return None
+        if _HEADER.match(text):
+            _check_order(line, text)
             return None
         self._position += 1
         try:
@@ -198,13 +206,30 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[_Values]:
                 yield steering, throttle, brake, speed_mph
 
 
+def _check_order(line: int, header: str) -> None:
+    names = (name.strip(_NAME_PADDING).lower() for name in re.split(r"[,;\t]", header))
+    known = list(dict.fromkeys(name for name in names if name in _COLUMNS))
+    if known != sorted(known, key=_COLUMNS.index):
+        raise RecordingError(
+            f"driving_log.csv: line {line} names the columns {', '.join(known)}; expected the order"
+            f" {', '.join(_COLUMNS)}. Sort the columns, or name them with --columns"
+        )
+
+
 def _names(text: str) -> tuple[tuple[str, str, str], str]:
     """The file names (centre, left, right) of a line, and the rest. Raises ValueError with the row's error."""
-    match = _PATHS.match(text)
+    match = _PATHS.match(text) or _PATHS.match(_with_commas(text))
     if match is None:
         raise ValueError("fewer than three columns of pictures, or cut off")
     center, left, right = (re.split(r"[/\\]", path)[-1].strip(_NAME_PADDING) for path in match.group(1, 2, 3))
     return (center, left, right), match.group(4)
+
+
+def _with_commas(text: str) -> str:
+    """A line with semicolons or tabs, as one with commas and with quotes: values may have decimal commas."""
+    separator = max(";\t", key=text.count)
+    cells = text.replace('"', "").rstrip(separator + string.whitespace).split(separator)
+    return ",".join(f'"{cell.strip()}"' for cell in cells)
 
 
 def _time_in(names: tuple[str, str, str]) -> int | None:

@@ -94,7 +94,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     lost_count = log.message_count - count - left_out
     if lost_count > 0:
         notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count, 'message')}")
-    if log.is_ours and not rows and len(skipped):
+    if log.is_ours and not rows and (log.problem or len(skipped)):
         notices.append(f"{path}: no complete row in it: the new log has no rows")
     if not len(skipped) and is_damaged_beside_chunks(path):
         notices.append(

@@ -13,6 +13,7 @@ import pytest
 from common.car import Camera
 from dataset import build_index, find_logs, sessions_not_indexed
 from dataset.cli import main
+from dataset.index.sessions import unfinished_recordings
 from logs import write_log
 from udacity import call
 
@@ -145,3 +146,10 @@ def test_the_state_is_remembered_also_where_a_name_is_not_utf_8(capsys: pytest.C
         log_of(name)
     assert call(main, "lake") == 0
     assert sessions_not_indexed("index", "sessions") == []
+
+
+def test_the_command_for_an_unfinished_recording_can_be_typed(tmp_path: Path) -> None:
+    part = tmp_path / "my drive.mcap.0a1b2c.part"
+    part.touch()
+    (line,) = unfinished_recordings(tmp_path, [])
+    assert f"`bc-log recover '{part}'`" in line

@@ -126,6 +126,21 @@ def test_a_csv_without_a_header_has_columns_by_number(tmp_path: Path) -> None:
     assert steering_of(done.path) == [0.5, 0.25]
 
 
+@pytest.mark.parametrize("separator", [";", "\t"], ids=["semicolon", "tab"])
+def test_decimal_commas_as_spreadsheets_write_them(tmp_path: Path, separator: str) -> None:
+    """Without a header, the first line may have as many decimal commas as separators."""
+    csv = "a.jpg|0,5|0,25\nb.jpg|-0,5|1\n".replace("|", separator)
+    folder = folder_of(tmp_path, csv, ["a.jpg", "b.jpg"])
+    done = imported(folder, "image=1", "steering=2", "throttle=3", rate_hz=10.0)
+    assert (steering_of(done.path), done.skipped.counts) == ([0.5, -0.5], {})
+
+
+def test_utf_16_as_powershell_writes_it(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "", ["ä.jpg"])
+    (folder / "labels.csv").write_text("p,s\r\nä.jpg,0.5\r\n", "utf-16", newline="")
+    assert steering_of(imported(folder, "image=p", "steering=s", rate_hz=10.0).path) == [0.5]
+
+
 def test_rows_that_cannot_be_used_are_named_and_take_their_time(tmp_path: Path) -> None:
     csv = "p,s\na.jpg,0.5\nb.jpg,\nc.jpg,nan\n,0.1\nmissing.jpg,0.1\na.jpg,0.2\n\ncut.jpg,0.1\nd.jpg,2\n"
     folder = folder_of(tmp_path, csv, ["a.jpg", "b.jpg", "c.jpg", "d.jpg", "cut.jpg", "more.jpg"])

@@ -61,6 +61,23 @@ def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
+@pytest.mark.parametrize("separator", [";", "\t", " ; "], ids=["semicolon", "tab", "spaces"])
+def test_a_csv_that_a_spreadsheet_has_saved(tmp_path: Path, separator: str) -> None:
+    """In countries with decimal commas, Excel separates with semicolons."""
+    header = "center,left,right,steering,throttle,brake,speed".replace(",", separator)
+    rows = [
+        separator.join([paths(number, "C:\\a, b\\", separator), *cells.replace(".", "|").split(",")])
+        for number, cells in enumerate(CELLS)
+    ]
+    csv = "\n".join([header, *rows]).replace("|", ",")
+    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+def test_semicolons_with_one_camera(tmp_path: Path) -> None:
+    make_recording(tmp_path, f"{picture_name('center', 0)};;;-0,5;0;1;3,25;;\n", [0])
+    assert values_of(imported(tmp_path).path) == [(-0.5, 0.0, 1.0, 3.25)]
+
+
 @pytest.mark.parametrize(
     "prefix",
     [
@@ -81,6 +98,12 @@ def test_accents_in_the_encoding_of_another_machine(tmp_path: Path, encoding: st
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
+def test_utf_16_is_named(tmp_path: Path) -> None:
+    make_recording(tmp_path, three_rows().encode("utf-16"))
+    with pytest.raises(RecordingError, match=r"driving_log\.csv: its text is UTF-16; save it as UTF-8"):
+        imported(tmp_path)
+
+
 @pytest.mark.parametrize("img", ["IMG", ".", "../IMG"])
 def test_pictures_are_found_beside_the_csv_and_above_it(tmp_path: Path, img: str) -> None:
     folder = tmp_path / "drive"
@@ -92,6 +115,17 @@ def test_pictures_are_found_beside_the_csv_and_above_it(tmp_path: Path, img: str
 def test_a_header_is_no_row(tmp_path: Path, title: str) -> None:
     csv = f"{title}steering,throttle,brake,speed\n{three_rows()}"
     assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["left,center,right,steering,throttle,brake,speed", "center,left,right,throttle,steering,reverse,speed"],
+)
+def test_columns_in_another_order_are_refused(tmp_path: Path, header: str) -> None:
+    """They would be read as others: the left picture as the centre's, the throttle as steering."""
+    make_recording(tmp_path, f"{header}\n{three_rows()}")
+    with pytest.raises(RecordingError, match="expected the order center, left, right, steering, throttle"):
+        imported(tmp_path)
 
 
 def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
@@ -438,6 +472,11 @@ def test_a_name_that_no_index_can_hold_is_refused_at_once(
     assert call(main, name, "--sessions", tmp_path / "sessions") == 2
     assert "not a name for a session" in one_line_in(capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_with_its_ending_is_given_back_without(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "my drive.mcap") == 2
+    assert "`bc-record 'my drive'`" in one_line_in(capsys)
 
 
 def test_every_split_of_a_decimal_comma_row_that_is_written_is_read(tmp_path: Path) -> None:

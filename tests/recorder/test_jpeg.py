@@ -28,6 +28,14 @@ ENCODINGS: dict[str, list[int]] = {
     ],
 }
 
+# 16x8 grey pixels, from `jpegtran -arithmetic`: OpenCV decodes this coding, but does not write it
+ARITHMETIC = bytes.fromhex(
+    "ffd8ffe000104a46494600010100000100010000ffdb0043000d090a0b0a080d0b0a0b0e0e0d0f13201513121213271c1e17202e2931302e"
+    "292d2c333a4a3e333646372c2d405741464c4e525352323e5a615a50604a51524fffc9000b080008001001011100ffcc000600101005ffda"
+    "0008010100003f00ff0095f00422d18fb9615ebd54868a2f882ac0aaacf391a405ef20b4f7c0fa6ebd3450802ed5d113e0f2b4c25c41cd23"
+    "e98b807a6e3bcea29993112ba41f2b3ce0ffd9"
+)
+
 
 @cache
 def encoded(encoding: str, is_grey: bool) -> bytes:
@@ -55,6 +63,12 @@ whole_pictures = st.builds(encoded, st.sampled_from(sorted(ENCODINGS)), st.boole
 def test_every_common_encoding_is_taken(encoding: str, is_grey: bool) -> None:
     assert is_whole_jpeg(encoded(encoding, is_grey))
     assert whole_jpeg_size(encoded(encoding, is_grey)) == (56, 40)
+
+
+def test_arithmetic_coding_is_taken() -> None:
+    assert is_decoded(ARITHMETIC)
+    assert whole_jpeg_size(ARITHMETIC) == (16, 8)
+    assert not any(is_whole_jpeg(ARITHMETIC[:kept]) for kept in range(len(ARITHMETIC)))
 
 
 def test_pictures_of_real_recordings_are_taken(recordings: Path) -> None:

@@ -270,6 +270,16 @@ def test_a_log_that_was_being_written_is_recovered_under_its_name(
     assert recovered_name(tmp_path / name) == tmp_path / becomes
 
 
+def test_an_import_killed_before_its_first_row_is_reported(tmp_path: Path) -> None:
+    """Its pictures fill chunks early. Its vehicle states are small, and come last."""
+    whole = two_kinds(write_log(tmp_path / "whole.mcap", [0.0] * ROWS, picture))
+    path = tmp_path / "drive.mcap.0a1b2c.part"
+    path.write_bytes(whole.read_bytes()[: contents(whole).chunks[0].end])
+    written = recover(path, tmp_path / "drive.mcap")
+    assert (written.rows, written.messages > 0) == (0, True)
+    assert written.notices == [f"{path}: no complete row in it: the new log has no rows"]
+
+
 # Kills
 
 RECORDERS = """
