@@ -36,8 +36,10 @@ class ReactionTime:
 
 
 def reaction_time(frames: pa.Table) -> ReactionTime | None:
-    """The reaction time in the frames of an evaluation (columns session, log_time_ns, recorded, predicted); None
-    if the answers or the steering are constant."""
+    """The reaction time in the frames of an evaluation (columns session, log_time_ns, recorded, predicted).
+
+    None if the answers or the steering are constant, or if the correlation still grows at the largest delay.
+    """
     sessions = [part.sort_by("log_time_ns") for _, part in by_session(frames)]
     predicted = np.concatenate([part["predicted"].to_numpy() for part in sessions])
     delays = []
@@ -49,7 +51,8 @@ def reaction_time(frames: pa.Table) -> ReactionTime | None:
         correlation = errors(predicted[is_known], later[is_known]).correlation
         delays.append(ReactionTime(float(after_s[is_known].mean()), correlation))
     known = [delay for delay in delays if not math.isnan(delay.correlation)]
-    return max(known, key=lambda delay: delay.correlation, default=None)
+    best = max(known, key=lambda delay: delay.correlation, default=None)
+    return None if best is not None and 0 < best.delay_s == known[-1].delay_s else best
 
 
 def _steering_later(frames: pa.Table, delay_s: float) -> NDArray[np.float64]:

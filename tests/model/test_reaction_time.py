@@ -71,6 +71,10 @@ def test_no_steering_is_taken_from_the_next_drive() -> None:
     assert found.correlation == pytest.approx(1.0)
 
 
+def test_a_correlation_that_still_grows_gives_no_reaction_time() -> None:
+    assert reaction_time(frames(PRESSES[7:], PRESSES[:-7])) is None  # 0.7 s late
+
+
 def test_constant_answers_have_no_reaction_time() -> None:
     assert reaction_time(frames(np.zeros(len(PRESSES)), PRESSES)) is None
     assert reaction_time(frames(PRESSES, np.zeros(len(PRESSES)))) is None
