@@ -135,8 +135,8 @@ def _off_deg(predicted: Floats, recorded: Floats, max_deg: float | None) -> NDAr
 
 def _exact(recorded: Floats) -> NDArray[np.float64]:
     """In float32, a value on an edge may lie next to it."""
-    exact: NDArray[np.float64] = np.round(recorded.astype(np.float64), 6)
-    return exact
+    exact: NDArray[np.float64] = recorded.astype(np.float64)
+    return np.round(exact, 6)
 
 
 def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float | None) -> list[BinErrors]:
