@@ -131,8 +131,8 @@ class TrainConfig:
             raise ValueError("--target-weights: expected numbers of 0 or more, not all 0")
         if self.keep == "last" and self.patience:
             raise ValueError(
-                f"--patience {self.patience}: not with --keep last, which prefers every new epoch; give --keep"
-                " driving-error as well"
+                f"--patience {self.patience}: not with --keep last, which prefers every new epoch; a new"
+                " training can have --keep driving-error as well"
             )
         names = self.alter_each_epoch
         if len(set(names)) < len(names) or (len(names) > 1 and {"all", "none"}.intersection(names)):

@@ -105,7 +105,7 @@ def errors(predicted: Floats, recorded: Floats, max_deg: float | None = MAX_STEE
     if not len(recorded):
         return Errors(nan, nan, nan, nan)
     off = _off_deg(predicted, recorded, max_deg)
-    turning = np.abs(recorded) > TURNING
+    turning = is_turning(recorded)
     varies = predicted.min() < predicted.max() and recorded.min() < recorded.max()
     return Errors(
         mae_deg=float(np.abs(off).mean()),
@@ -113,6 +113,11 @@ def errors(predicted: Floats, recorded: Floats, max_deg: float | None = MAX_STEE
         turning_mae_deg=float(np.abs(off[turning]).mean()) if turning.any() else nan,
         correlation=float(np.corrcoef(predicted, recorded)[0, 1]) if varies else nan,
     )
+
+
+def is_turning(recorded: Floats) -> NDArray[np.bool_]:
+    """True where the recorded steering (N,) turns."""
+    return np.abs(_exact(recorded)) > TURNING
 
 
 def constant_errors(value: float, recorded: Floats, max_deg: float | None = MAX_STEERING_DEG) -> Errors:
@@ -128,10 +133,15 @@ def _off_deg(predicted: Floats, recorded: Floats, max_deg: float | None) -> NDAr
     return assumed_deg(max_deg) * (predicted.astype(np.float64) - recorded.astype(np.float64))
 
 
+def _exact(recorded: Floats) -> NDArray[np.float64]:
+    """In float32, a value on an edge may lie next to it."""
+    exact: NDArray[np.float64] = recorded.astype(np.float64)
+    return np.round(exact, 6)
+
+
 def _bin_errors(predicted: Floats, recorded: Floats, bins: int, max_deg: float | None) -> list[BinErrors]:
     off = _off_deg(predicted, recorded, max_deg)
-    exact: NDArray[np.float64] = recorded.astype(np.float64)
-    bin_index = bin_of(np.round(exact, 6), bins)  # in float32, a value on an edge may lie next to it
+    bin_index = bin_of(_exact(recorded), bins)
     errors_of_bins = []
     for number in np.unique(bin_index).tolist():
         part = off[bin_index == number]

@@ -18,7 +18,7 @@ from dataset.frames.distinct_rows import by_session
 from model.metrics import errors
 
 DELAYS_S: Final = tuple(round(0.05 * step, 2) for step in range(13))
-"""Up to 0.6 s: published recordings of people have their maximum at 0.2 to 0.3 s."""
+"""Up to 0.6 s: published recordings of people have their maximum at 0.1 to 0.3 s."""
 
 MIN_KNOWN: Final = 0.5
 """The share of frames whose later steering must be known."""
@@ -31,32 +31,39 @@ _PAUSE_NS: Final = 1_000_000_000
 class ReactionTime:
     """The delay with the largest correlation between a network's answers and the steering recorded later."""
 
-    delay_s: float
+    delay_s: float  # mean over frames
     correlation: float  # -1..1, at this delay
 
 
 def reaction_time(frames: pa.Table) -> ReactionTime | None:
-    """The reaction time in the frames of an evaluation (columns session, log_time_ns, recorded, predicted); None
-    if the answers or the steering are constant."""
+    """The reaction time in the frames of an evaluation (columns session, log_time_ns, recorded, predicted).
+
+    None if the answers or the steering are constant, or if the correlation still grows at the largest delay.
+    """
     sessions = [part.sort_by("log_time_ns") for _, part in by_session(frames)]
     predicted = np.concatenate([part["predicted"].to_numpy() for part in sessions])
     delays = []
     for delay_s in DELAYS_S:
-        later = np.concatenate([_steering_later(part, delay_s) for part in sessions])
+        later, after_s = np.concatenate([_steering_later(part, delay_s) for part in sessions], axis=1)
         is_known = np.isfinite(later)
         if is_known.mean() < MIN_KNOWN:
             break
-        delays.append(ReactionTime(delay_s, errors(predicted[is_known], later[is_known]).correlation))
+        correlation = errors(predicted[is_known], later[is_known]).correlation
+        delays.append(ReactionTime(float(after_s[is_known].mean()), correlation))
     known = [delay for delay in delays if not math.isnan(delay.correlation)]
-    return max(known, key=lambda delay: delay.correlation, default=None)
+    best = max(known, key=lambda delay: delay.correlation, default=None)
+    return None if best is not None and 0 < best.delay_s == known[-1].delay_s else best
 
 
 def _steering_later(frames: pa.Table, delay_s: float) -> NDArray[np.float64]:
-    """The steering `delay_s` seconds after each frame of a session (N,), interpolated linearly between frames; NaN
-    beyond the next pause."""
+    """For each frame of a session, the steering of the frame nearest to `delay_s` seconds later, and that frame's
+    delay in s: (2, N). NaN beyond the next pause.
+
+    Steering interpolated between frames would have less noise, and so a larger correlation at any delay but 0.
+    """
     time_ns, recorded = frames["log_time_ns"].to_numpy(), frames["recorded"].to_numpy()
     later_ns = time_ns + round(delay_s * 1e9)
+    nearest = np.searchsorted(time_ns[:-1] + np.diff(time_ns) // 2, later_ns)
     last_ns = np.append(time_ns[:-1][np.diff(time_ns) > _PAUSE_NS], time_ns[-1])  # of each drive
-    return np.where(
-        later_ns <= last_ns[np.searchsorted(last_ns, time_ns)], np.interp(later_ns, time_ns, recorded), np.nan
-    )
+    is_known = later_ns <= last_ns[np.searchsorted(last_ns, time_ns)]
+    return np.where(is_known, [recorded[nearest], (time_ns[nearest] - time_ns) / 1e9], np.nan)

@@ -22,7 +22,7 @@ from dataset.steering_bins import BINS, bin_of
 from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import CONFIDENCE, MEASURES, Difference, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation, target_columns
-from model.metrics import TURNING
+from model.metrics import is_turning
 from model.runs.run_folder import run_name
 
 BLOCK_S: Final = 5.0  # measured: errors are uncorrelated after 2 to 5 s
@@ -106,14 +106,14 @@ def sums_of_blocks(frames: pa.Table, unit: NDArray[np.int64], max_deg: float | N
     1."""
     predicted, recorded = (frames[name].to_numpy() for name in ("predicted", "recorded"))
     off_deg = assumed_deg(max_deg) * (predicted - recorded)
-    is_turning = np.abs(recorded) > TURNING
+    turning = is_turning(recorded)
     in_bin = bin_of(np.round(recorded, 6), BINS)[:, None] == np.arange(BINS)  # rounded as in model.metrics
     per_frame = np.column_stack(
         [
             np.ones(len(recorded)),
             np.square(off_deg),
-            is_turning,
-            np.abs(off_deg) * is_turning,
+            turning,
+            np.abs(off_deg) * turning,
             predicted,
             recorded,
             np.square(predicted),

@@ -15,6 +15,8 @@ METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
 STEPS_FILE: Final = "steps.jsonl"
 """One line every few batches: a `Step`."""
+MAX_HISTORY_BYTES: Final = 32 << 20
+"""Of each of these files: in a larger one, a training removes every second line. Readers refuse 64 MiB."""
 
 
 @dataclass(frozen=True)

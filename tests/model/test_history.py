@@ -6,6 +6,7 @@ import json
 import os
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ import pytest
 from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
 from model.runs.history import History, read_history
+from model.runs.history_lines import parse_epoch
+from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Step
+from model.training.run_writer import RunWriter
 
 
 def wrong_epochs() -> list[str]:
@@ -133,3 +137,20 @@ def test_of_a_file_that_grows_the_whole_lines_are_read(tmp_path: Path) -> None:
         history, skipped = read_history(run)
         assert [epoch.epoch for epoch in history.epochs] == list(range(1, count + 1))
         assert len(skipped) == bool(cut)
+
+
+def test_a_very_long_history_loses_every_second_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("model.training.run_writer.MAX_HISTORY_BYTES", 20_000)
+    writer = RunWriter(tmp_path)
+    measured = parse_epoch(json.dumps(epoch_line(1)).encode())
+    for number in range(1, 301):
+        writer.add_step(Step(number, 1, 1, number, 0.1, 100.0))
+        writer.add_epoch(replace(measured, epoch=number, is_best=number == 2), None)
+    for name in (METRICS_FILE, STEPS_FILE):
+        assert (tmp_path / name).stat().st_size < 22_000
+    history, skipped = read_history(tmp_path)
+    assert len(skipped) == 0
+    assert history.best is not None
+    assert history.best.epoch == 2
+    assert history.epochs[-1].epoch == history.steps[-1].epoch == 300
+    assert history.steps[0].epoch < 150

@@ -34,6 +34,13 @@ def test_an_edge_between_bins_is_the_same_one_in_float32() -> None:
         assert single.bins[0].bin == double.bins[0].bin
 
 
+def test_a_turn_is_the_same_in_float32() -> None:
+    """bc-train measures float32, bc-eval float64."""
+    for recorded in (0.05, -0.05):  # not above 0.05, but np.float32(0.05) is
+        for kind in (np.float32, np.float64):
+            assert math.isnan(errors(np.zeros(1), np.array([recorded], kind)).turning_mae_deg)
+
+
 def test_the_balanced_error_counts_every_bin_alike() -> None:
     """98 frames straight on and two bends: always going straight is nearly right, but not in this measure."""
     recorded = np.array([0.0] * 98 + [-0.8, 0.8])

@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 
 from model.evaluation.reaction_time import reaction_time
 
-START_NS, STEP_NS = 1_700_000_000_000_000_000, 100_000_000
+START_NS = 1_700_000_000_000_000_000
 PRESSES = np.random.default_rng(0).choice([-0.6, 0.0, 0.0, 0.6], 60).repeat(4)  # each of 0.4 s
 
 
-def frames(predicted: NDArray[np.float64], recorded: NDArray[np.float64], session: str = "a") -> pa.Table:
+def frames(
+    predicted: NDArray[np.float64], recorded: NDArray[np.float64], session: str = "a", step_s: float = 0.1
+) -> pa.Table:
     return pa.table(
         {
             "session": [session] * len(recorded),
-            "log_time_ns": START_NS + STEP_NS * np.arange(len(recorded)),
+            "log_time_ns": START_NS + round(step_s * 1e9) * np.arange(len(recorded)),
             "recorded": recorded,
             "predicted": predicted,
         }
@@ -31,6 +33,23 @@ def test_a_person_who_steers_late_is_compared_late(late: int) -> None:
     assert found is not None
     assert found.delay_s == pytest.approx(0.1 * late)
     assert found.correlation == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.25])
+def test_noise_in_the_recorded_steering_is_no_delay(step_s: float) -> None:
+    """The mean of two frames would have less noise: half a step later, its correlation would be larger."""
+    bends = 0.5 * np.sin(np.arange(600) / 5)
+    noisy = frames(bends, bends + 0.2 * np.random.default_rng(0).standard_normal(600), step_s=step_s)
+    found = reaction_time(noisy)
+    assert found is not None
+    assert found.delay_s == 0.0
+
+
+def test_the_delay_is_that_of_the_frames_compared() -> None:
+    """At 4 frames a second, only 0.25 s and 0.5 s later is there a frame."""
+    found = reaction_time(frames(PRESSES[1:], PRESSES[:-1], step_s=0.25))
+    assert found is not None
+    assert found.delay_s == pytest.approx(0.25)
 
 
 def test_each_session_is_compared_with_itself() -> None:
@@ -50,6 +69,10 @@ def test_no_steering_is_taken_from_the_next_drive() -> None:
     assert found is not None
     assert found.delay_s == 0.0
     assert found.correlation == pytest.approx(1.0)
+
+
+def test_a_correlation_that_still_grows_gives_no_reaction_time() -> None:
+    assert reaction_time(frames(PRESSES[7:], PRESSES[:-7])) is None  # 0.7 s late
 
 
 def test_constant_answers_have_no_reaction_time() -> None:
