@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from drive.evaluation.closed_loop import DriveResult  # loads the server
 
 BAR_CELLS = 16  # so that a line fits 80 columns
+LATER_BY = 0.02  # a smaller gain of correlation at a later time is not shown
 
 
 def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bins: bool = False) -> None:
@@ -93,7 +94,8 @@ def _measures_table(evaluation: Evaluation) -> Table:
         table.add_row(heading, *(_number(shown(getattr(errors, name))) for errors in columns))
     table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in predictors))
     table.add_row("correlation", *(_number(errors.correlation) for errors in predictors.values()))
-    if (reaction := evaluation.reaction_time) is not None and reaction.delay_s > 0:
+    reaction = evaluation.reaction_time
+    if reaction is not None and reaction.correlation >= measures.network.correlation + LATER_BY:
         table.add_row(f"{reaction.delay_s:.2f} s later", _number(reaction.correlation), "-", "-")
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"

@@ -23,6 +23,7 @@ from safetensors.numpy import load_file, save_file
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index, decode
 from drive.evaluation.eval_cli import main
+from drive.evaluation.eval_report import print_evaluation
 from logs import START_NS, not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation.evaluate import Evaluation, evaluate, evaluate_sessions
@@ -204,6 +205,18 @@ def test_the_worst_frames_are_different_moments(
         assert said.timestamp() == pytest.approx(row["log_time_ns"] / 1e9, abs=0.001)
     assert call(main, "toy", "--json", "--worst", 2) == 0
     assert json.loads(capsys.readouterr().out)["worst"] == worst[:2]
+
+
+@pytest.mark.parametrize(("late", "shown"), [(0, []), (3, ["0.30"])])
+def test_the_table_says_how_late_a_person_steers(
+    late: int, shown: list[str], cwd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    presses = np.random.default_rng(0).choice([-0.6, 0.0, 0.6], 60).repeat(4)
+    rows = np.arange(len(presses) - late)
+    frames = {"session": ["a"] * len(rows), "row": rows, "log_time_ns": START_NS + 100_000_000 * rows}
+    steering = {"recorded": presses[: len(rows)], "predicted": presses[late:], "crash": [False] * len(rows)}
+    print_evaluation(replace(evaluate("runs/toy", "index"), frames=pa.table(frames | steering)), [])
+    assert re.findall(r"^(\S+) s later +1\.00 ", capsys.readouterr().out, re.MULTILINE) == shown
 
 
 def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
