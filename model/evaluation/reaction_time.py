@@ -50,9 +50,9 @@ def reaction_time(frames: pa.Table) -> ReactionTime | None:
             break
         correlation = errors(predicted[is_known], later[is_known]).correlation
         delays.append(ReactionTime(float(after_s[is_known].mean()), correlation))
-    known = [delay for delay in delays if not math.isnan(delay.correlation)]
-    best = max(known, key=lambda delay: delay.correlation, default=None)
-    return None if best is not None and 0 < best.delay_s == known[-1].delay_s else best
+    defined = [delay for delay in delays if not math.isnan(delay.correlation)]
+    best = max(defined, key=lambda delay: delay.correlation, default=None)
+    return None if best is not None and 0 < best.delay_s == defined[-1].delay_s else best
 
 
 def _steering_later(frames: pa.Table, delay_s: float) -> NDArray[np.float64]:

@@ -75,9 +75,8 @@ class CsvColumns:
     def rows(self, path: Path, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         """The usable rows of a csv, with steering multiplied by `scale`.
 
-        The delimiter is the most frequent of ; tab and , in the first line. With ; and tab, numbers may have
-        decimal commas. The text is UTF-8, or UTF-16 with a mark. Raises RecordingError if the csv cannot be read,
-        or lacks a column.
+        The delimiter is that of `delimiter_of`. With ; and tab, numbers may have decimal commas. The text is UTF-8, or
+        UTF-16 with a mark. Raises RecordingError if the csv cannot be read, or lacks a column.
         """
         try:
             with readable(path), open_regular(path) as stream:
@@ -91,7 +90,7 @@ class CsvColumns:
     def _rows(self, path: Path, text: io.TextIOWrapper, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         lines = _lines(text)
         first = next(lines, "")
-        delimiter = max(";\t,", key=first.count)  # if equal, the commas are decimal
+        delimiter = delimiter_of(first)
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
         at = self._positions(path, header)
         has_header = at is not None
@@ -146,6 +145,11 @@ class CsvColumns:
             numbers.get("speed_mph", math.nan),
         )
         return CsvRow(line, index, pictures, state, time_ns)
+
+
+def delimiter_of(first_line: str) -> str:
+    """The most frequent of ; tab and , in the first line of a csv; not the commas if equal: they are decimal."""
+    return max(";\t,", key=first_line.count)
 
 
 def _lines(text: io.TextIOWrapper) -> Iterator[str]:

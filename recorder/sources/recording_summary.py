@@ -13,7 +13,7 @@ from common import Skipped, UserError
 from common.errors import counted, printable
 from common.untrusted import open_regular
 from recorder.errors import RecordingError
-from recorder.sources.csv_columns import MAX_LINE_CHARACTERS
+from recorder.sources.csv_columns import MAX_LINE_CHARACTERS, delimiter_of
 from recorder.sources.donkeycar_tub import open_tub
 from recorder.sources.find_recording import kind_of
 from recorder.sources.import_mcap import is_own_log, topics_in
@@ -89,7 +89,7 @@ def _csv(source: Path) -> RecordingSummary:
             first = stream.readline(MAX_LINE_CHARACTERS).decode("utf-8-sig", errors="replace")
             lines = iter(lambda: stream.readline(MAX_LINE_CHARACTERS), b"")
             count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
-        names = next(csv.reader([first], delimiter=max(";\t,", key=first.count)), [])
+        names = next(csv.reader([first], delimiter=delimiter_of(first)), [])
     except csv.Error as error:
         raise RecordingError(f"{source}: not a csv ({error})") from None
     columns = tuple(printable(name.strip()) for name in names[:_MAX_LISTED])

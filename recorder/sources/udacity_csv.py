@@ -208,10 +208,10 @@ def _decimal_comma_readings(cells: list[str]) -> Iterator[_Values]:
 
 def _check_order(line: int, header: str) -> None:
     names = (name.strip(_NAME_PADDING).lower() for name in re.split(r"[,;\t]", header))
-    known = list(dict.fromkeys(name for name in names if name in _COLUMNS))
-    if known != sorted(known, key=_COLUMNS.index):
+    columns = list(dict.fromkeys(name for name in names if name in _COLUMNS))
+    if columns != sorted(columns, key=_COLUMNS.index):
         raise RecordingError(
-            f"driving_log.csv: line {line} names the columns {', '.join(known)}; expected the order"
+            f"driving_log.csv: line {line} names the columns {', '.join(columns)}; expected the order"
             f" {', '.join(_COLUMNS)}. Sort the columns, or name them with --columns"
         )
 
