@@ -75,8 +75,8 @@ class CsvColumns:
     def rows(self, path: Path, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         """The usable rows of a csv, with steering multiplied by `scale`.
 
-        The delimiter is that of `delimiter_of`. With ; and tab, numbers may have decimal commas. The text is UTF-8, or
-        UTF-16 with a mark. Raises RecordingError if the csv cannot be read, or lacks a column.
+        The delimiter is that of `delimiter_of`. With ; and tab, numbers may have decimal commas. The text is
+        UTF-8, or UTF-16 with a mark. Raises RecordingError if the csv cannot be read, or lacks a column.
         """
         try:
             with readable(path), open_regular(path) as stream:
