@@ -3,8 +3,8 @@
 python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--recipes original ...] [--report]
 
 The study records half laps of both tracks by the expert and by the simulated keyboard driver, and other drives
-that are held out. It trains each recipe with each seed, and takes the network after one and after four epochs.
-Each network predicts the recordings held out, and drives the simulator (`bc-eval --simulator`).
+that are held out. It trains each recipe with each seed, and takes the network after one and four epochs, and after
+ten with the default recipe. Each network predicts the recordings held out, and drives (`bc-eval --simulator`).
 
 Existing results in FOLDER are not computed again: stop the study (Ctrl-C) and start it again at any time. Every
 job has one thread, and --jobs of them run at once. At the end, or at any time with --report,
@@ -36,7 +36,6 @@ from common.files import atomic_file
 KNOWN: Final = ("lake", "mountain")
 HELD_OUT_ROADS: Final = ("random:101", "random:102", "random:103")  # recorded, and predicted
 DRIVEN: Final = (*KNOWN, "random:1", "random:2", "random:3", "random:4", "random:5")
-EPOCHS: Final = (1, 4)  # after which networks are taken
 PREDICT: Final = Path(__file__).resolve().with_name("which_number_predict.py")
 LEARNT_SEED, HELD_OUT_SEED = 1, 2
 RECORDED_LAPS: Final = {LEARNT_SEED: 0.5, HELD_OUT_SEED: 0.25}
@@ -44,15 +43,17 @@ RECORDED_LAPS: Final = {LEARNT_SEED: 0.5, HELD_OUT_SEED: 0.25}
 SMALL: Final = ("--per-bin", "150")  # 3,750 samples an epoch: half a minute for four
 ORIGINAL: Final = ("--recipe", "original")
 PEOPLE: Final = ("--recipe", "people")
+TO_THE_END: Final = (1, 4, 10)  # ten are the default
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train a kind of networks. All learn the same number of samples, except "a tenth"."""
+    """How to train a kind of networks."""
 
     index: tuple[str, ...]
     train: tuple[str, ...]
     driver: str = "keyboard"
+    epochs: tuple[int, ...] = (1, 4)  # after which networks are taken
 
 
 RECIPES: Final = {
@@ -72,6 +73,10 @@ RECIPES: Final = {
     "people, a tenth": Recipe((*PEOPLE, "--per-bin", "60", "--where", "row < 110"), PEOPLE),
     "expert, original": Recipe((*ORIGINAL, *SMALL), ORIGINAL, driver="expert"),
     "expert, people": Recipe((*PEOPLE, *SMALL), PEOPLE, driver="expert"),
+    "altered": Recipe((), (), epochs=TO_THE_END),
+    "altered, a quarter": Recipe((*SMALL, "--where", "row < 280"), (), epochs=TO_THE_END),
+    "altered, a tenth": Recipe(("--per-bin", "60", "--where", "row < 110"), (), epochs=TO_THE_END),
+    "expert, altered": Recipe(SMALL, (), driver="expert", epochs=TO_THE_END),
 }
 
 
@@ -92,7 +97,7 @@ def main() -> None:
             jobs.map(lambda drive: study.record(*drive), [*study.learnt_drives(), *study.held_out_drives()])
             jobs.map(study.index, arguments.recipes)
             trained = jobs.map(lambda training: study.train(*training), trainings)
-            networks = [network for epoch in reversed(list(zip(*trained, strict=True))) for network in epoch]
+            networks = [network for training in trained for network in reversed(training)]
             steps = (study.predict, study.drive)
             jobs.map(lambda step: step[1](step[0]), list(itertools.product(networks, steps)))
     report.write(folder)
@@ -192,12 +197,12 @@ class Study:
     def train(self, seed: int, name: str) -> list[str]:
         """Train, and copy the network after each of the epochs. Returns the names of the networks."""
         training = f"{file_name(name)}-s{seed}"
-        for epochs in EPOCHS:
+        for epochs in RECIPES[name].epochs:
             taken = self.folder / "networks" / f"{training}-e{epochs}"
             if not taken.exists():
                 self._train(name, seed, training, epochs)
                 self._take(training, taken)
-        return [f"{training}-e{epochs}" for epochs in EPOCHS]
+        return [f"{training}-e{epochs}" for epochs in RECIPES[name].epochs]
 
     def _train(self, name: str, seed: int, training: str, epochs: int) -> None:
         run = self.folder / "runs" / training

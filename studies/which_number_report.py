@@ -136,8 +136,7 @@ def rmse_deg(predicted: Floats, recorded: Floats) -> float:
 
 
 def pivot(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """One row for each network: its offline measures by driver, `OUTCOMES`, and of stored measures also those of
-    driving recordings, which a command did until 0.3.0."""
+    """One row for each network: its offline measures by driver, and `OUTCOMES`."""
     long = pd.DataFrame(rows)
     index = ["network", "recipe", "seed", "epoch"]
     offline_part = long[long["kind"] == "offline"]
@@ -148,12 +147,6 @@ def pivot(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
         + ")"
     )
     wide = offline_part.assign(name=names).pivot_table("value", index, "name", sort=False)
-    recordings = long[long["kind"] == "recording driven"]
-    if len(recordings):
-        sums = sums_of(recordings, index)
-        wide["recordings driven: interventions a km"] = 1000 * sums["interventions"] / sums["distance_m"]
-        offsets_m = recordings[recordings["measure"] == "mean_offset_m"]
-        wide["recordings driven: mean offset"] = offsets_m.groupby(index)["value"].mean()
     driven = sums_of(long[long["kind"] == "driven"], index)
     wide["interventions a lap"] = driven["interventions"] / driven["laps"].clip(lower=0.01)
     lost_s = 6.0 * driven["interventions"]
@@ -224,7 +217,7 @@ def driving_of_recipes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """A table of each recipe's drives after the last epoch, on partly learnt and on unseen tracks: the mean,
     minimum and maximum over seeds."""
     long = pd.DataFrame(rows)
-    long = long[(long["kind"] == "driven") & (long["epoch"] == long["epoch"].max())]
+    long = long[(long["kind"] == "driven") & (long["epoch"] == long.groupby("recipe")["epoch"].transform("max"))]
     parts = {"known": long["where"].isin(KNOWN), "unseen": ~long["where"].isin(KNOWN)}
     headings = [f"{part}: {name}" for part in parts for name in ("interventions a lap", "mean offset")]
     lines = [f"| recipe | seeds | {' | '.join(headings)} |", "|---" * (2 + len(headings)) + "|"]
