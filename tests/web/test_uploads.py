@@ -212,6 +212,15 @@ def test_bodies_that_are_not_what_they_say_are_refused(bench: Served) -> None:
     assert bench.ask("POST", "/import.upload?manifest=1", b"{", Origin="http://evil.example").status == 403
 
 
+def test_a_link_to_a_folder_is_no_upload(bench: Served, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (bench.folder / "recordings").mkdir()
+    (bench.folder / "recordings" / "linked").symlink_to(tmp_path / "elsewhere")
+    assert "linked" not in bench.get("/import").text
+    assert bench.ask("POST", "/import/linked/remove").status == 404
+    assert (tmp_path / "elsewhere").is_dir()
+
+
 def test_a_full_disk_refuses_before_anything_is_written(bench: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web.folders.uploads, "_SPARE_BYTES", 1 << 60)
     answer = upload(bench, {"a": b"x"})

@@ -153,12 +153,12 @@ class Upload:
 
 
 def uploads_in(folder: Path) -> dict[str, Path]:
-    """The uploads in a folder by their names. A folder whose name cannot be shown is left out."""
+    """The uploads in a folder by their names. Links, and folders whose name cannot be shown, are left out."""
     try:
-        uploads = [path for path in sorted(folder.iterdir()) if path.is_dir() and path.suffix != PART_SUFFIX]
+        folders = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.is_symlink()]
     except OSError:
         return {}
-    return {path.name: path for path in uploads if path.name.isprintable()}
+    return {path.name: path for path in folders if path.suffix != PART_SUFFIX and path.name.isprintable()}
 
 
 def remove_upload(upload: Path) -> None:
