@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,6 +27,7 @@ from model.runs.run_arguments import RUNS, new_run_name
 from model.train_flags import Train, defaults, refuse_contradictions
 
 if TYPE_CHECKING:
+    from dataset import Indexed
     from dataset import IndexConfig
     from model.runs.training_progress import Listener
     from model.training.trainer import Trained
@@ -239,7 +241,13 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     else:
         logs, settings = find_logs(config.on, config.sessions), IndexConfig.of(config.config.recipe)
     print_message(f"{index}: built of {counted(len(logs), 'session')}")
-    return index, _build_index(logs, index, settings, config.sessions, [session_name(log) for log in logs])
+    names = [session_name(log) for log in logs]
+    indexed, code = _build_index(logs, index, settings, config.sessions, names)
+    added = [indexed.counts[name] for name in map(session_name, config.takeovers) if name in indexed.counts]
+    if config.takeovers and not any(count.training for count in added):
+        shutil.rmtree(index)
+        raise UserError(f"{first_of([str(log) for log in config.takeovers])}: no frame of a takeover to learn from")
+    return index, code
 
 
 def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
@@ -262,7 +270,8 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
             raise missing_index(config.index)
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
-        return config.index, _build_index(logs, local_path(config.index), settings, config.sessions)
+        _, code = _build_index(logs, local_path(config.index), settings, config.sessions)
+        return config.index, code
     is_current_index = config.resume is None and isinstance(config.index, Path)
     if is_current_index:
         for line in not_learnt_in(local_path(config.index)):
@@ -281,13 +290,13 @@ def _is_built_unasked(index: Location) -> bool:
 
 def _build_index(
     logs: Sequence[Location], index: Path, settings: IndexConfig, folder: Location, sessions: Sequence[str] = ()
-) -> int:
-    """Build an index as `bc-index` does: skip and print logs that cannot be read. Returns the exit code."""
+) -> tuple[Indexed, int]:
+    """Build an index as `bc-index` does: skip and print logs that cannot be read. Also returns the exit code."""
     from dataset import build_index
     from dataset.index.index_report import print_log_notices
 
     indexed = build_index(logs, index, settings, leave_out_unreadable=True)
-    return print_log_notices(indexed, folder, sessions)
+    return indexed, print_log_notices(indexed, folder, sessions)
 
 
 def main() -> None:

@@ -22,14 +22,14 @@ TAKEN = range(20, 40)
 """The rows of the drive that a person drove."""
 
 
-def supervised_drive(path: Path, first: int = 1000) -> Path:
+def supervised_drive(path: Path, first: int = 1000, taken: range = TAKEN) -> Path:
     """A network drives straight on; a person who takes over steers to the left."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with LogWriter(path, {"source": "drive", "run": "first"}) as writer:
         for row in range(60):
             now_ns = START_NS + row * STEP_NS
-            steering = -0.4 if row in TAKEN else 0.0
-            driver = PilotCommand.HUMAN if row in TAKEN else PilotCommand.PILOT
+            steering = -0.4 if row in taken else 0.0
+            driver = PilotCommand.HUMAN if row in taken else PilotCommand.PILOT
             writer.picture("center", now_ns, row, road_jpeg(first + row))
             writer.vehicle(now_ns, row, VehicleState(steering=steering, throttle=0.2, speed_mph=9.0))
             writer.command(now_ns, row, PilotCommand(driver=driver, steering=steering, throttle=0.2))
@@ -75,6 +75,15 @@ def test_takeovers_are_learnt_on_top_of_all_that_was_learnt_before(project: Path
     assert set(sessions_in("index-second")) == {"lake", "a"}
     config = json.loads(Path("runs/second/config.json").read_text())
     assert (config["init"]["run"], config["training"]["network"]) == ("first", "small")
+
+
+def test_a_drive_without_a_takeover_teaches_nothing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
+    drive = supervised_drive(Path("drives/a.mcap"), taken=range(0))
+    assert call(main, "--name", "second", "--init", "first", "--takeovers", drive) == 1
+    assert f"{drive}: no frame of a takeover to learn from" in capsys.readouterr().err
+    assert not Path("index-second").exists()
+    assert not Path("runs/second").exists()
 
 
 @pytest.mark.parametrize(
