@@ -122,15 +122,15 @@ def _split_of(
 ) -> NDArray[np.int8]:
     """The split of each row (N,): 0 for training, 1 for validation, 2 for the gap between them.
 
-    Validation is a share of the used frames, never all of them. Blocks without used frames do not count. Takeovers
-    are few and of any length, so that chance may hold out more than half of them: then training and validation are
-    exchanged.
+    Validation is a share of the used frames, never all of them. Blocks without used frames do not count. Short
+    drives and takeovers have few blocks, of any length, so that chance may hold out more than half of the frames:
+    then training and validation are exchanged.
     """
     if config.validation:
         return np.full(len(block), int(session in config.validation), np.int8)
     chosen = validation_blocks(block[taken], config.validation_share, config.seed, session)
     is_validation = np.isin(block, chosen)
-    if not taken.all() and 2 * is_validation.sum() > taken.sum():
+    if config.validation_share < 0.5 and 2 * is_validation.sum() > taken.sum():
         is_validation = taken & ~is_validation
     near = near_validation(states.time_ns, is_validation, config.gap_s)
     return np.where(near, 2, is_validation).astype(np.int8)

@@ -179,6 +179,14 @@ def test_the_split_is_by_blocks_of_time(tmp_path: Path) -> None:
         assert row["split"] == ("validation" if row["row"] in held_out else "gap" if near else "train")
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_drive_of_two_blocks_is_learnt_for_more_than_half(tmp_path: Path, seed: int) -> None:
+    """Chance may choose the longer block."""
+    index = index_of(tmp_path, IndexConfig(seed=seed, block_s=5, gap_s=0), a=STEERING[:60]).path
+    frames = rows_of(index / "frames" / "a.parquet")
+    assert Counter(row["split"] for row in frames) == {"train": 150, "validation": 30}
+
+
 def test_whole_sessions_are_held_out_if_they_are_named(tmp_path: Path) -> None:
     indexed = index_of(tmp_path, IndexConfig(validation=("b",)), a=STEERING, b=STEERING[::-1], c=STEERING[1:])
     split = {(row["session"], row["split"]) for row in indexed.samples.to_pylist()}
