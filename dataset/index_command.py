@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pyarrow.compute as pc
 
-from common.command import FAILED, usage_errors, warn
+from common.command import FAILED, flags_given, usage_errors, warn
 from common.errors import UsageError, counted, first_of
 from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
@@ -87,6 +87,8 @@ def _refuse_contradictions(config: Index) -> None:
             f"--index {config.index}: nodes of a cluster write to a shared folder, not to a store; without --ray,"
             " this machine builds the index"
         )
+    if config.config.validation and (flags := flags_given(config.config, "validation_share", "gap_s")):
+        raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")
     if config.config.where is not None:
         condition = Condition(config.config.where)
         with usage_errors(DatasetError):

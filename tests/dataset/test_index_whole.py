@@ -379,13 +379,14 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
     [
         (["--where", "nonsense = 1"], "--where 'nonsense = 1'"),
         (["--validation", "nobody"], "--validation nobody: no such session"),
+        (["--validation", "a", "--gap-s", "0"], "--gap-s: not with --validation"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(
     cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[str], said: str
 ) -> None:
     log_of(cwd / "sessions" / "a.mcap")
-    assert call(main, "--look", *flags) == (2 if "--where" in flags else 1)
+    assert call(main, "--look", *flags) == (1 if "nobody" in flags else 2)
     assert said in capsys.readouterr().err
     assert not (cwd / "index").exists()
 
