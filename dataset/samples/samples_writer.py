@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from common import atomic_file
 from common.car import CAMERAS
+from common.errors import first_of
 from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import codes, read_frames
@@ -75,7 +76,7 @@ def write_samples(
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
-        raise _nothing_usable(config, counts)
+        raise _nothing_usable(config, counts, logs)
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
     chosen, balanced = choose_samples(label, is_training, config)
@@ -116,7 +117,9 @@ def _slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, lis
     return {name: [mph for mph in session_mph if mph < fastest_mph] for name, session_mph in speeds_mph.items()}
 
 
-def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
+def _nothing_usable(
+    config: IndexConfig, counts: Mapping[str, SessionCounts], logs: Mapping[str, Mapping[str, Any]]
+) -> DatasetError:
     """The error for sessions without a usable frame, with the reasons why their frames are not used."""
     chosen = " or not chosen by --where" if config.where is not None else ""
     shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
@@ -137,7 +140,8 @@ def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) ->
     }
     totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}
     frames = ", ".join(f"{totals[name]:,} {reason}" for name, reason in reasons.items() if totals[name])
-    return DatasetError(f"no frame can be used: {frames or 'no session has a picture'}")
+    nothing = f"no picture in {first_of([Path(log['log']).name for log in logs.values()])}; look with `bc-log check`"
+    return DatasetError(f"no frame can be used: {frames or nothing}")
 
 
 def _samples_metadata(

@@ -82,8 +82,8 @@ class TrainingLoop:
         )
         if not len(loader):
             raise RunError(
-                f"{samples.path}: no training samples in it; record more, or give bc-index a smaller"
-                " --validation-share or --gap-s"
+                f"{samples.path}: no training samples in it; index more sessions, or hold out none (`bc-index"
+                " --validation-share 0`)"
             )
         with progress_task(bar, "reading pictures", loader.pictures) as advance:  # only if a GPU keeps them
             self.batches = make_batches(loader, machine.device, advance=advance)
