@@ -330,6 +330,11 @@ class Log(Closeable):
         """The places of the messages on `topic`, in the order of writing."""
         return _messages(self._of_topic(topic))
 
+    def contents(self, topic: str) -> Iterator[tuple[Message, bytes]]:
+        """The messages on `topic` with their bytes, in the order of writing."""
+        entries = self._of_topic(topic)
+        return zip(_messages(entries), self._contents(entries), strict=True)
+
     def decoded(self, topic: str) -> Iterator[tuple[Message, Any]]:
         """The messages on a topic of the registry. Raises LogError for a message of another type."""
         return self._decoded(topic, topics.TOPICS[topic].message.load())
@@ -408,8 +413,7 @@ class Log(Closeable):
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         from google.protobuf.message import DecodeError
 
-        entries = self._of_topic(topic)
-        for message, content in zip(_messages(entries), self._contents(entries), strict=True):
+        for message, content in self.contents(topic):
             try:
                 yield message, kind.FromString(content)
             except DecodeError as error:

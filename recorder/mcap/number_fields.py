@@ -1,4 +1,4 @@
-"""Decodes the numbers of many Protobuf messages at once: doubles and values of an enum."""
+"""Decodes the numbers of many Protobuf messages at once: doubles, counts and values of an enum."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
 _DOUBLE_BYTES: Final = 1 + 8  # a tag, and eight bytes in little-endian order
-_ENUM_BYTES: Final = 1 + 1  # a tag, and a small number
+_SMALL_BYTES: Final = 1 + 1  # a tag, and a number below 128
 _LAST_NUMBER: Final = 15  # of the fields whose tag is one byte
 
 
@@ -22,8 +22,9 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
     is NaN.
 
     Usual messages have each field at most once, in the order of their numbers
-    (https://protobuf.dev/programming-guides/encoding/). They are decoded together. Protobuf decodes other
-    messages, and all messages of types with fields of other kinds. Raises DecodeError as Protobuf does.
+    (https://protobuf.dev/programming-guides/encoding/), and counts below 128. They are decoded together. Protobuf
+    decodes other messages, and all messages of types with fields of other kinds. Raises DecodeError as Protobuf
+    does.
     """
     values = np.zeros((len(names), len(contents)))
     is_done = np.zeros(len(contents), np.bool_)
@@ -47,7 +48,7 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
                     row[present] = data[at[present, None] + np.arange(1, _DOUBLE_BYTES)].view("<f8")[:, 0]
                 else:
                     row[present] = data[at[present] + 1]
-            at[present] += _DOUBLE_BYTES if is_double else _ENUM_BYTES
+            at[present] += _DOUBLE_BYTES if is_double else _SMALL_BYTES
         is_done = at == end
     lacking = {field.name for field in fields if field.has_presence and field.message_type is None}
     for number in np.flatnonzero(~is_done).tolist():
@@ -59,6 +60,6 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
 
 
 def _is_plain(field: Any) -> bool:
-    is_number = field.type in (field.TYPE_DOUBLE, field.TYPE_ENUM)
+    is_number = field.type in (field.TYPE_DOUBLE, field.TYPE_ENUM, field.TYPE_UINT32)
     is_repeated = isinstance(field.default_value, list)  # `field.is_repeated` is not in Protobuf 5
     return is_number and not is_repeated and field.number <= _LAST_NUMBER

@@ -249,9 +249,9 @@ def _is_ours(log: Log, topic: str) -> bool:
 
 
 def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
-    for message in log.messages(POSE):
+    for message, content in log.contents(POSE):
         with contextlib.suppress(DecodeError):  # the path has a gap, which `bc-log check` reports
-            yield message, PoseInFrame.FromString(log.read(message.offset, message.length, message.chunk))
+            yield message, PoseInFrame.FromString(content)
 
 
 def _picture_size(log: Log) -> tuple[int, int] | None:
