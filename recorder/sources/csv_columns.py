@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import itertools
@@ -79,10 +80,7 @@ class CsvColumns:
         UTF-8, or UTF-16 with a mark. Raises RecordingError if the csv cannot be read, or lacks a column.
         """
         try:
-            with readable(path), open_regular(path) as stream:
-                encoding = "utf-16" if stream.read(2) in UTF16_MARKS else "utf-8-sig"
-                stream.seek(0)
-                text = io.TextIOWrapper(stream, encoding, errors="replace", newline="")
+            with readable(path), open_csv(path) as text:
                 yield from self._rows(path, text, scale, skipped)
         except csv.Error as error:
             raise RecordingError(f"{path}: not a csv ({error})") from None
@@ -150,6 +148,15 @@ class CsvColumns:
 def delimiter_of(first_line: str) -> str:
     """The most frequent of ; tab and , in the first line of a csv; not the commas if equal: they are decimal."""
     return max(";\t,", key=first_line.count)
+
+
+@contextlib.contextmanager
+def open_csv(path: Path) -> Iterator[io.TextIOWrapper]:
+    """The text of a csv: UTF-8, or UTF-16 with a mark."""
+    with open_regular(path) as stream:
+        encoding = "utf-16" if stream.read(2) in UTF16_MARKS else "utf-8-sig"
+        stream.seek(0)
+        yield io.TextIOWrapper(stream, encoding, errors="replace", newline="")
 
 
 def _lines(text: io.TextIOWrapper) -> Iterator[str]:

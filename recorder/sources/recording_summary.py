@@ -11,9 +11,8 @@ from typing import Final, Literal
 
 from common import Skipped, UserError
 from common.errors import counted, printable
-from common.untrusted import open_regular
 from recorder.errors import RecordingError
-from recorder.sources.csv_columns import MAX_LINE_CHARACTERS, delimiter_of
+from recorder.sources.csv_columns import MAX_LINE_CHARACTERS, delimiter_of, open_csv
 from recorder.sources.donkeycar_tub import open_tub
 from recorder.sources.find_recording import kind_of
 from recorder.sources.import_mcap import is_own_log, topics_in
@@ -85,9 +84,9 @@ def _udacity(source: Path, skipped: Skipped) -> RecordingSummary:
 
 def _csv(source: Path) -> RecordingSummary:
     try:
-        with open_regular(source) as stream:
-            first = stream.readline(MAX_LINE_CHARACTERS).decode("utf-8-sig", errors="replace")
-            lines = iter(lambda: stream.readline(MAX_LINE_CHARACTERS), b"")
+        with open_csv(source) as text:
+            first = text.readline(MAX_LINE_CHARACTERS)
+            lines = iter(lambda: text.readline(MAX_LINE_CHARACTERS), "")
             count = sum(1 for _ in islice(lines, MAX_COUNTED_ROWS))
         names = next(csv.reader([first], delimiter=delimiter_of(first)), [])
     except csv.Error as error:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import other_logs
 import tubs
 from logs import write_log
@@ -25,12 +27,13 @@ def test_a_recording_of_udacity_has_the_rows_and_oddities_of_its_import(tmp_path
     assert len(summary.oddities) == 2  # the line, and the fourth row's pictures
 
 
-def test_each_kind_is_recognised(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_each_kind_is_recognised(tmp_path: Path, encoding: str) -> None:
     tubs.write_tub_2(tmp_path / "tub", map(tubs.record_2, range(4)), deleted=[1])
     other_logs.write_mcap(tmp_path / "other.mcap", other_logs.DRIVE)
     write_log(tmp_path / "own.mcap", [0.1] * 3)
     (tmp_path / "table").mkdir()
-    (tmp_path / "table" / "a.csv").write_text("frame;angle\n1.jpg;0,1\n2.jpg;0,2\n")
+    (tmp_path / "table" / "a.csv").write_text("frame;angle\n1.jpg;0,1\n2.jpg;0,2\n", encoding)
     names = sorted(path.name for path in recordings_in(tmp_path))
     assert names == ["a.csv", "other.mcap", "own.mcap", "tub"]
     tub = summarize_recording(tmp_path / "tub")
