@@ -29,7 +29,7 @@ CAMERAS: Final = "center", "left", "right"
 ROUNDS: Final = 4
 PICTURES: Final = 2000  # in a round
 AT_ONCE: Final = 6  # connections of a browser
-DONE: Final = re.compile(rb'"about": ?\{|"is_done": ?true|"problem": ?"[^"]')
+DONE: Final = re.compile(rb'"about": ?[{t]|"is_done": ?true|"problem": ?"[^"]')
 
 
 def ask(path: str, method: str = "GET") -> bytes:
