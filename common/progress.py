@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Iterable, Iterator
 from typing import Final, Protocol, Self, TypeVar
 
@@ -22,7 +21,7 @@ from common.output import add_live_display, message_console, print_message, remo
 Item = TypeVar("Item")
 
 LINE_EVERY_S: Final = 30.0
-ADVANCE_EVERY_S: Final = 0.05  # a step takes 8 us: of 100,000 messages, almost a second
+MAX_STEPS: Final = 1000  # of a bar: a step takes 8 us, so 100,000 would take almost a second
 
 
 class Advance(Protocol):
@@ -99,13 +98,11 @@ def progress_task(bar: Progress, name: str, total: int, completed: int = 0) -> I
 def track(items: Iterable[Item], description: str, total: int) -> Iterator[Item]:
     """Yield `items`, and count them on a progress bar."""
     with progress_bar() as bar, progress_task(bar, description, total) as advance:
-        done, advanced_s = 0, time.monotonic()
-        for item in items:  # rich's own `track` does not count if no bar is shown
+        step = max(1, total // MAX_STEPS)
+        for done, item in enumerate(items, 1):  # rich's own `track` does not count if no bar is shown
             yield item
-            done += 1
-            if time.monotonic() - advanced_s >= ADVANCE_EVERY_S:
-                advance(done)
-                done, advanced_s = 0, time.monotonic()
+            if done % step == 0:
+                advance(step)
 
 
 class StatusLine:
