@@ -87,8 +87,8 @@ def _refuse_contradictions(config: Index) -> None:
             f"--index {config.index}: nodes of a cluster write to a shared folder, not to a store; without --ray,"
             " this machine builds the index"
         )
-    if config.config.validation and (flags := flags_given(config.config, "validation_share", "gap_s")):
-        raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")
+    if config.config.validation and flags_given(config.config, "validation_share"):
+        raise UsageError("--validation-share: not with --validation, which holds out whole sessions")
     if config.config.where is not None:
         condition = Condition(config.config.where)
         with usage_errors(DatasetError):
