@@ -4,10 +4,11 @@ python benchmarks/playing.py sessions/lake.mcap drives/run.mcap [--minutes 10 12
 
 The rows of a session (three cameras) and of a drive (one camera, and the network's crops) are repeated until a log
 is long enough. Three ways are measured: bc-play shows the log in a running headless viewer; bc-play writes an .rrd
-file, which a headless viewer opens; the viewer opens the log itself, without curves, if it has at most ten minutes.
-A log is completely shown when the view of the centre camera shows the last picture, which is green. A jump begins at
-the first picture and ends when the last one is shown. Times include the start-up of bc-play; memory is without mapped
-files. A headless viewer needs a graphics driver: on a bare server, Debian's package mesa-vulkan-drivers.
+file, which a headless viewer opens; the viewer opens the log itself, without curves, if it has at most ten
+minutes. A log is completely shown when the view of the centre camera shows the last picture, which is green. A
+jump begins at the first picture and ends when the last one is shown. Times include the start-up of bc-play; memory
+is without mapped files. A headless viewer needs a graphics driver: on a bare server, Debian's package
+mesa-vulkan-drivers.
 """
 
 from __future__ import annotations

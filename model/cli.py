@@ -27,8 +27,7 @@ from model.runs.run_arguments import RUNS, new_run_name
 from model.train_flags import Train, defaults, refuse_contradictions
 
 if TYPE_CHECKING:
-    from dataset import Indexed
-    from dataset import IndexConfig
+    from dataset import IndexConfig, Indexed
     from model.runs.training_progress import Listener
     from model.training.trainer import Trained
 
@@ -246,7 +245,9 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     added = [indexed.counts[name] for name in map(session_name, config.takeovers) if name in indexed.counts]
     if config.takeovers and not any(count.training for count in added):
         shutil.rmtree(index)
-        raise UserError(f"{first_of([str(log) for log in config.takeovers])}: no frame of a takeover to learn from")
+        raise UserError(
+            f"{first_of([str(log) for log in config.takeovers])}: no frame of a takeover to learn from"
+        )
     return index, code
 
 

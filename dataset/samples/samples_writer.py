@@ -140,8 +140,8 @@ def _nothing_usable(
     }
     totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}
     frames = ", ".join(f"{totals[name]:,} {reason}" for name, reason in reasons.items() if totals[name])
-    nothing = f"no picture in {first_of([Path(log['log']).name for log in logs.values()])}; look with `bc-log check`"
-    return DatasetError(f"no frame can be used: {frames or nothing}")
+    names = first_of([Path(log["log"]).name for log in logs.values()])
+    return DatasetError(f"no frame can be used: {frames or f'no picture in {names}; look with `bc-log check`'}")
 
 
 def _samples_metadata(

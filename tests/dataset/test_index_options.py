@@ -100,7 +100,7 @@ def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> N
     assert "11 not of a camera left or not chosen by --where, 3 with a broken picture" in str(raised.value)
     for steering in ([0.0] * 4, []):
         empty = write_log(tmp_path / "empty.mcap", steering, cameras=[], overwrite=True)
-        with pytest.raises(DatasetError, match="no picture in empty.mcap; look with `bc-log check`"):
+        with pytest.raises(DatasetError, match=r"no picture in empty\.mcap; look with `bc-log check`"):
             build_index([empty], tmp_path / "index")
     assert not (tmp_path / "index" / "samples.parquet").exists()
 
