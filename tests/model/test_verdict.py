@@ -87,7 +87,7 @@ def test_the_two_lines_of_a_good_network() -> None:
     assert verdict.summary.startswith(
         f"better than always predicting the mean: {turns}, {driving}; perhaps enough"
     )
-    assert "30 of 30 networks" in verdict.summary
+    assert "32 of 32 networks" in verdict.summary
     assert verdict.lines[1].startswith("next: `bc-eval first --simulator lake mountain`: a driving error of ")
     assert [error.ratio for error in verdict.beside_mean] == pytest.approx(
         [
@@ -127,7 +127,8 @@ def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
         ({"keys"}, 1.07, True, None),
         ({"keys"}, 1.1, False, False),
         ({"smooth"}, 0.54, True, True),
-        ({"smooth"}, 0.66, True, False),
+        ({"smooth"}, 0.66, True, None),
+        ({"smooth"}, 0.71, True, False),
         ({"keys", "smooth"}, 0.9, True, None),  # enough for keys, too much for smooth steering
         (set(), 0.3, True, True),
         (set(), 1.3, False, False),
@@ -146,7 +147,7 @@ def test_the_counts_are_those_of_the_study() -> None:
         errors = {
             row["network"]: row["value"] for row in rows if (row["where"], row["measure"]) == (driver, ERROR)
         }
-        assert len(errors) == 66
+        assert len(errors) == 82
         bounds = (0.0, *EDGES[hand], math.inf)
         for band, low, high in zip(STUDY[hand], bounds, bounds[1:], strict=False):
             names = [name for name, error in errors.items() if low <= error < high]
@@ -261,7 +262,9 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     assert advised.command == command
 
 
-def test_rows_are_advised_before_epochs_where_hardly_a_turn_is_learnt() -> None:
+def test_epochs_are_advised_before_rows_also_where_hardly_a_turn_is_learnt() -> None:
+    """In the study, networks of 220 rows left the road 41 and 53 times after one epoch, and at most twice after
+    ten."""
     improving = [*WEAK[:2], epoch(3, 0.3)]
     few, hardly_any = (
         sound(counts={name: {"frames": 6000, "training": frames} for name in ("a", "b")})
@@ -269,7 +272,7 @@ def test_rows_are_advised_before_epochs_where_hardly_a_turn_is_learnt() -> None:
         for frames in (600, 200)
     )
     assert advice(numbers(few, improving)).command == "bc-train --resume first --epochs 10"
-    assert advice(numbers(hardly_any, improving)).command == "bc-record more --track random:2"
+    assert advice(numbers(hardly_any, improving)).command == "bc-train --resume first --epochs 10"
 
 
 def test_the_rules_have_an_end() -> None:
