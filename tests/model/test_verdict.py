@@ -262,7 +262,7 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     assert advised.command == command
 
 
-def test_epochs_are_advised_before_rows_also_where_hardly_a_turn_is_learnt() -> None:
+def test_epochs_are_advised_before_rows_also_of_few_turns() -> None:
     """In the study, networks of 220 rows left the road 41 and 53 times after one epoch, and at most twice after
     ten."""
     improving = [*WEAK[:2], epoch(3, 0.3)]
