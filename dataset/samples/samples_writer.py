@@ -76,7 +76,7 @@ def write_samples(
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
-        raise _nothing_usable(config, counts, logs)
+        raise _nothing_usable(config, counts)
     label = np.concatenate([session.label for session in sessions])
     is_training = np.concatenate([session.is_training for session in sessions])
     chosen, balanced = choose_samples(label, is_training, config)
@@ -117,9 +117,7 @@ def _slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, lis
     return {name: [mph for mph in session_mph if mph < fastest_mph] for name, session_mph in speeds_mph.items()}
 
 
-def _nothing_usable(
-    config: IndexConfig, counts: Mapping[str, SessionCounts], logs: Mapping[str, Mapping[str, Any]]
-) -> DatasetError:
+def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
     """The error for sessions without a usable frame, with the reasons why their frames are not used."""
     chosen = " or not chosen by --where" if config.where is not None else ""
     shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
@@ -140,7 +138,7 @@ def _nothing_usable(
     }
     totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}
     frames = ", ".join(f"{totals[name]:,} {reason}" for name, reason in reasons.items() if totals[name])
-    names = first_of([Path(log["log"]).name for log in logs.values()])
+    names = first_of([f"{name}.mcap" for name in counts])
     return DatasetError(f"no frame can be used: {frames or f'no picture in {names}; look with `bc-log check`'}")
 
 
