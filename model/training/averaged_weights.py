@@ -28,22 +28,18 @@ class AveragedWeights:
 
     def __init__(self, network: PictureNetwork, steps: int) -> None:
         self._steps = steps
-        self._learning = network
         self.network = network if steps == 1 else copy.deepcopy(network)
-        # listed once: each listing takes the processor a few percent of a GPU's step
-        networks = self.network, network
-        self._parameters = [list(of.parameters()) for of in networks]
-        self._buffers = list(zip(*(of.buffers() for of in networks), strict=True))
 
     @torch.no_grad()
-    def begin(self) -> None:
-        """Begin with the weights before the first step."""
-        self.network.load_state_dict(self._learning.state_dict())
+    def begin(self, network: PictureNetwork) -> None:
+        """Begin with the weights of `network`, before its first step."""
+        self.network.load_state_dict(network.state_dict())
 
-    def update(self, steps_taken: int) -> None:
-        """Add the latest weights to the mean. `steps_taken` counts from 1, after the first step."""
-        if self.network is not self._learning:
+    def update(self, network: PictureNetwork, steps_taken: int) -> None:
+        """Add the weights of `network` to the mean. `steps_taken` counts from 1, after the first step."""
+        if self.network is not network:
             keep = 1 - max(1 / self._steps, 1 / (1 + steps_taken / _FIRST_STEPS))
-            get_ema_multi_avg_fn(keep)(*self._parameters, steps_taken)  # type: ignore[no-untyped-call]
-            for mean, latest in self._buffers:
+            update = get_ema_multi_avg_fn(keep)  # type: ignore[no-untyped-call]
+            update(list(self.network.parameters()), list(network.parameters()), steps_taken)
+            for mean, latest in zip(self.network.buffers(), network.buffers(), strict=True):
                 mean.copy_(latest)  # buffers of a batch normalisation are already means

@@ -119,7 +119,7 @@ class TrainingLoop:
 
     def begin(self) -> None:
         """Save the start of a new training, so that a run that is killed early can continue."""
-        self.averaged.begin()
+        self.averaged.begin(self.network)
         save_checkpoint(self.run, self.network, self.averaged.network, self.optimizer, self.position)
 
     def resume(self) -> None:
@@ -198,7 +198,7 @@ class TrainingLoop:
     def _train_batch(self, batch: int, pictures: Tensor, labels: Tensor) -> Tensor:
         """Learn the batch with the number `batch`, from 1. Returns the sum of its squared errors."""
         config = self.config
-        _seed_dropout(self.machine.device, _dropout_seed(config.seed, self.position.epoch, batch))
+        torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch))
         squared_error = training_step(
             self.network,
             self.optimizer,
@@ -209,7 +209,7 @@ class TrainingLoop:
             batch=min(config.batch, len(self.loader) - (batch - 1) * config.batch),
             weights=self.target_weights,
         )
-        self.averaged.update((self.position.epoch - 1) * self.loader.batches + batch)
+        self.averaged.update(self.network, (self.position.epoch - 1) * self.loader.batches + batch)
         return squared_error
 
     def _report(self, squared_error: float, samples: int, seconds: float) -> str:
@@ -321,13 +321,6 @@ class _EpochSums:
         unreported = squared_error - self.reported_squared_error, self.samples - self.reported_samples
         self.reported_squared_error, self.reported_samples = squared_error, self.samples
         return unreported
-
-
-def _seed_dropout(device: torch.device, seed: int) -> None:
-    # torch.manual_seed also tries devices that are not there: a tenth of a GPU's step, for the processor
-    torch.default_generator.manual_seed(seed)
-    if device.type == "cuda":
-        torch.cuda.default_generators[device.index].manual_seed(seed)
 
 
 def _dropout_seed(seed: int, epoch: int, batch: int) -> int:

@@ -19,10 +19,10 @@ def bias_after(steps: list[float], average_steps: int) -> float:
     """The mean of a weight that takes these values, one a step."""
     network = SteeringNetwork()
     averaged = AveragedWeights(network, average_steps)
-    averaged.begin()
+    averaged.begin(network)
     for number, value in enumerate(steps, 1):
         torch.nn.init.constant_(network.head[-1].bias, value)  # type: ignore[arg-type]
-        averaged.update(number)
+        averaged.update(network, number)
     return float(averaged.network.state_dict()["head.11.bias"])
 
 
