@@ -13,7 +13,6 @@ If a picture does not decode, or is in a damaged chunk of its log, it is left ou
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +28,7 @@ from common.location import Location
 from dataset.config import EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.errors import UnusablePictureError
-from dataset.loader.crops import Crops, Fill, prefetched
+from dataset.loader.crops import Crops, Fill, decoding_threads, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image
@@ -77,7 +76,7 @@ class Loader(Closeable):
             )
         self.batch = batch
         self.seed = seed
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or decoding_threads()
         self.seen = seen
         self.rows: Rows = rows if isinstance(rows, Rows) else samples.rows(rows, targets)
         self.skipped = Skipped()  # each picture once
@@ -205,7 +204,7 @@ def load(
     """Load the samples of a split of `index`, in batches of `batch`.
 
     - `budget_bytes`: memory for decoded crops (49 KB each)
-    - `threads`: threads that decode; 0: one for each core
+    - `threads`: threads that decode; 0: one for each core, at most four
     - `driving_view`: only the samples of `Samples.driving_view`
     - `seen`: the network's input
     - `targets`: the numbers that the network learns

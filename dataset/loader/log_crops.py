@@ -5,7 +5,6 @@ For viewing a whole log, which need not be in an index.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from typing import Final
 
@@ -20,7 +19,7 @@ from dataset.errors import DatasetError
 from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
-from dataset.loader.crops import Crops, prefetched
+from dataset.loader.crops import Crops, decoding_threads, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
@@ -98,7 +97,7 @@ class LogCrops(Closeable):
         """
         numbers = np.arange(0, len(self), step)
         parts = np.split(numbers, numbers[size::size])
-        threads = os.cpu_count() or 1
+        threads = decoding_threads()
         crops = Crops(self._rows, {self.session: self.log}, budget_bytes=0, spec=spec)
         for part, pictures, failed in prefetched(parts, crops.fill, spec, threads=threads, at_once=_AT_ONCE):
             for number, error in failed.items():
