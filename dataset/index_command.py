@@ -87,8 +87,9 @@ def _refuse_contradictions(config: Index) -> None:
             f"--index {config.index}: nodes of a cluster write to a shared folder, not to a store; without --ray,"
             " this machine builds the index"
         )
-    if config.config.validation and flags_given(config.config, "validation_share"):
-        raise UsageError("--validation-share: not with --validation, which holds out whole sessions")
+    of_blocks = ("validation_share", *["gap_s"] * (config.config.gap_s > 0))  # whole sessions have a gap of 0
+    if config.config.validation and (flags := flags_given(config.config, *of_blocks)):
+        raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")
     if config.config.where is not None:
         condition = Condition(config.config.where)
         with usage_errors(DatasetError):

@@ -82,7 +82,7 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     for line in places.lines(MAX_PLACES):
         print_result(f"  {line}")
     if checked.lag is not None:
-        words = lag_in_words(checked.lag.lag) if checked.lag.lag else "its pictures show no lag of the steering"
+        words = lag_in_words(checked.lag.lag) if checked.lag.lag else "its pictures do not show the lag"
         print_result(f"  {words}")
         if not checked.is_lag_kept:
             warn(f"{lag_path(checked.path)}: cannot be written; `bc-index --look` keeps the lag in the index")

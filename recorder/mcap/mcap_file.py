@@ -378,6 +378,8 @@ def _advice(path: Path) -> str:
         return f"; `bc-log ls {shlex.quote(str(path))}` lists the logs in it"
     if path.exists():
         return ""  # it may not be read
+    if path.is_symlink():
+        return "; it is a link to a file that is not there"
     for log in (path.with_name(f"{path.name}.mcap"), Path("sessions") / f"{path.name}.mcap"):
         if log.is_file():
             return f"; did you mean {log}?"

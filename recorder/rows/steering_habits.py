@@ -105,7 +105,7 @@ def steering_habits(
     out_of_range = 1 - rows / len(in_range) if len(in_range) else 0.0
     ceiling = _ceilings(steering, elapsed_s(time_ns))
     return SteeringHabits(
-        kind=_kind(steering, out_of_range, driven_s(states.time_ns), ceiling[1]),
+        kind=_kind(states.steering, in_range, driven_s(states.time_ns), ceiling[1]),
         rows=rows,
         out_of_range=out_of_range,
         driven_s=driven_s(states.time_ns),
@@ -125,8 +125,10 @@ def steering_habits(
     )
 
 
-def _kind(steering: Values, out_of_range: float, seconds: float, ceiling: float | None) -> Kind:
-    if out_of_range > MAX_OUT_OF_RANGE:
+def _kind(every: Values, in_range: NDArray[np.bool_], seconds: float, ceiling: float | None) -> Kind:
+    steering = every[in_range]
+    is_steered_beyond = not steering.any() and bool((np.abs(every) > 1).any())  # False for NaN
+    if is_steered_beyond or (len(every) and 1 - in_range.mean() > MAX_OUT_OF_RANGE):
         return "other scale"
     if not steering.any():  # also without rows
         return "none"

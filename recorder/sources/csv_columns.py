@@ -114,6 +114,8 @@ class CsvColumns:
             hint = f" {hint}" if (hint := did_you_mean(name, header)) else ""
             listed = ", ".join(printable(name[:60]) for name in header[:40]) or "none"
             raise RecordingError(f"{path}: no column {printable(name)!r}; the first line names {listed}.{hint}")
+        if twice := next((name for name in self.names.values() if header.count(name) > 1), None):
+            raise RecordingError(f"{path}: several columns {printable(twice)!r}; name all by number, from 1")
         return {key: header.index(name) for key, name in self.names.items()}
 
     def _row(
@@ -130,6 +132,8 @@ class CsvColumns:
             return "rows whose steering is not a number"
         time_ns: int | None = None
         for key in _TIMES.keys() & values.keys():  # at most one
+            if math.isnan(numbers[key]):
+                return "rows whose time is not a number"
             time_ns = _time_ns(key, values[key], numbers[key])
             if time_ns is None:
                 return "rows with a time that no log can hold"

@@ -380,6 +380,7 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
         (["--where", "nonsense = 1"], "--where 'nonsense = 1'"),
         (["--validation", "nobody"], "--validation nobody: no such session"),
         (["--validation", "a", "--validation-share", "0"], "--validation-share: not with --validation"),
+        (["--validation", "a", "--gap-s", "5"], "--gap-s: not with --validation"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(

@@ -257,6 +257,18 @@ def test_tags_are_given_listed_and_removed(
     assert "its tags: whole drive" in capsys.readouterr().err
 
 
+def test_a_link_that_leads_nowhere_is_not_meant_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("sessions").mkdir()
+    Path("sessions/dead.mcap").symlink_to("gone.mcap")
+    assert call(main, "info", "sessions/dead.mcap") == 1
+    said = capsys.readouterr().err
+    assert "it is a link to a file that is not there" in said
+    assert "did you mean" not in said
+
+
 @pytest.mark.parametrize(
     ("line", "says"),
     [

@@ -114,6 +114,19 @@ def test_a_time_that_no_log_can_hold_costs_its_row(tmp_path: Path, column: str, 
     assert "rows with a time that no log can hold: 1 (line 3)" in done.skipped.lines()
 
 
+def test_a_date_as_a_time_is_not_called_too_large(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "p,s,t\na.jpg,0,1\nb.jpg,0,2024-07-13T14:30:16\n", ["a.jpg", "b.jpg"])
+    done = imported(folder, "image=p", "steering=s", "time_s=t")
+    assert "rows whose time is not a number: 1 (line 3)" in done.skipped.lines()
+
+
+def test_of_two_columns_with_one_name_none_is_guessed(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "p,s,s\na.jpg,0.5,0.25\n", ["a.jpg"])
+    with pytest.raises(RecordingError, match="several columns 's'; name all by number, from 1"):
+        imported(folder, "image=p", "steering=s", rate_hz=10.0)
+    assert steering_of(imported(folder, "image=1", "steering=3", rate_hz=10.0).path) == [0.25]
+
+
 def test_lines_are_counted_as_an_editor_does(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, 'p,s\n\na.jpg,0\n\n"x\ny",?\nb.jpg,none\n', ["a.jpg"])
     done = imported(folder, "image=p", "steering=s", rate_hz=10.0)

@@ -90,6 +90,11 @@ def test_a_session_that_shows_no_lag_is_not_looked_at_again(tmp_path: Path) -> N
     assert "not measured" not in info.labels
 
 
+def test_a_check_does_not_take_an_unknown_lag_for_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    call(main, "check", write_drive(tmp_path / "a.mcap", views(1) * ROWS, pressed))
+    assert "  its pictures do not show the lag\n" in capsys.readouterr().out
+
+
 def test_nothing_is_measured_where_labels_do_not_depend_on_it(tmp_path: Path) -> None:
     paths = [
         write_drive(tmp_path / "expert.mcap", views(ROWS), driver="expert"),

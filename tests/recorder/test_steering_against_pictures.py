@@ -74,6 +74,14 @@ def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(
     assert flagged_rows(index) == list(range(first, last + 1))
 
 
+def test_a_check_names_a_recording_that_is_mirrored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_drive(tmp_path / "a.mcap", views(700), lambda at_s: -hand(at_s))
+    assert call(bc_log, "check", log) == 3
+    said = capsys.readouterr().out
+    assert "700 pictures decoded: 1 finding\n" in said
+    assert "  sessions whose pictures turn the other way: 1 (all rows; is left right?)\n" in said
+
+
 def flagged_rows(index: Path) -> list[int]:
     """The rows of the only session whose steering contradicts the pictures."""
     frames = read_frames(index / "frames" / "a.parquet").to_pylist()

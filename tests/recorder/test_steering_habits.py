@@ -130,6 +130,7 @@ ODD: dict[str, tuple[Callable[[], States], str, str]] = {
     "one row": (lambda: rows_of([0.3]), "constant", "constant"),
     "tiny": (lambda: rows_of([0.01 * value for value in hand(100)]), "other scale", "scale"),
     "degrees": (lambda: rows_of([25 * value for value in hand(100)]), "other scale", "scale"),
+    "degrees, nearly always straight on": (lambda: rows_of([0.0] * 1900 + [8.0] * 100), "other scale", "scale"),
     "no numbers": (lambda: rows_of([math.nan] * 1000), "other scale", "scale"),
     "2 Hz": (lambda: rows_of(keys(200, 2), 2), "steps", "rows a second"),
 }
