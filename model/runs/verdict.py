@@ -79,7 +79,8 @@ class Verdict:
     @property
     def summary(self) -> str:
         if not self.beside_mean:
-            return f"nothing was held out, so its error is unknown{self.driven and f'; {self.driven}'}"
+            why = "the measured steering never changes" if self.frames else "nothing was held out"
+            return f"{why}, so its error is unknown{self.driven and f'; {self.driven}'}"
         *before_rmse, rmse = self.beside_mean
         worse = [error for error in self.beside_mean if not error.ratio < 1]
         better = [error for error in self.beside_mean if error.ratio < 1]

@@ -364,3 +364,13 @@ def test_nan_is_no_verdict_of_being_better() -> None:
     constant = measure(np.zeros(10), np.zeros(10))
     assert math.isnan(constant.network.turning_mae_deg)
     assert verdict_of(numbers(measured=constant)).beside_mean == ()
+
+
+@pytest.mark.parametrize("steering", [0.0, 0.1, 0.25, 1 / 3])
+def test_constant_steering_gives_no_error_to_compare(steering: float) -> None:
+    """The mean of a hundred times 0.1 is not exactly 0.1, and no error is divided by the difference."""
+    constant = measure(np.full(100, steering + 0.2), np.full(100, steering))
+    assert constant.mean.rmse_deg == constant.mean_balanced_rmse_deg == 0
+    assert constant.driving_error < 10
+    verdict = verdict_of(numbers(measured=constant))
+    assert verdict.summary == "the measured steering never changes, so its error is unknown"
