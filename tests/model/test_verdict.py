@@ -262,6 +262,14 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     assert advised.command == command
 
 
+def test_turns_of_an_unseen_session_are_not_counted_as_learnt() -> None:
+    """The unseen road has only left bends, and few."""
+    straight = np.concatenate([np.zeros(1190), np.full(10, -0.3)])
+    unseen = numbers().of_rows(measure(straight + 0.2, straight), ["unseen"])
+    assert unseen.is_unseen
+    assert advice(unseen) == advice(numbers())
+
+
 def test_epochs_are_advised_before_rows_also_of_few_turns() -> None:
     """In the study, networks of 220 rows left the road 41 and 53 times after one epoch, and at most twice after
     ten."""
