@@ -316,6 +316,18 @@ def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:
         judge(run)
 
 
+@pytest.mark.parametrize(
+    ("laps", "said"),
+    [((0.03,), "0.03 laps of 1 track"), ((1.0, 0.25), "1.25 laps of 2 tracks"), ((1.0, 1.0), "driven 2 tracks")],
+)
+def test_a_part_of_a_lap_is_no_driven_track(laps: tuple[float, ...], said: str) -> None:
+    drives = tuple(
+        {"track": f"random:{number}", "set_speed_mph": 10.0, "interventions": 0, "laps": of_drive}
+        for number, of_drive in enumerate(laps)
+    )
+    assert f"{said} with 0 interventions" in verdict_of(numbers(drives=drives)).summary
+
+
 def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) -> None:
     """Without the mean's balanced error there is no driving error, until bc-eval measures it."""
 
