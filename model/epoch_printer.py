@@ -34,7 +34,7 @@ class EpochPrinter:
         validation = (
             f" RMSE {decimal(unit.of(measures.network.rmse_deg), 2)}, balanced"
             f" {decimal(unit.of(measures.balanced_rmse_deg), 2)},"
-            f" correlation {measures.network.correlation:.2f},"
+            f" correlation {decimal(measures.network.correlation, 2)},"
             if measures.frames
             else " nothing held out,"
         )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import decimal
 from common.steering_unit import SteeringUnit, assumed_deg, steering_unit
 from dataset import MAX_STEERING_DEG
 from dataset.prediction_targets import TARGETS, TargetName
@@ -87,7 +88,9 @@ def measure(
 ) -> Measures:
     """Compare two steering arrays (N,), -1..1, as a whole and within `bins` equal bins of the recorded steering.
     `max_deg` is the wheels' angle at steering 1, None if unknown."""
-    mean = float(np.mean(recorded)) if len(recorded) else float("nan")
+    mean = float("nan")
+    if len(recorded):  # rounding moves the mean of equal numbers away from them
+        mean = float(np.clip(np.mean(recorded), np.min(recorded), np.max(recorded)))
     return Measures(
         len(recorded),
         errors(predicted, recorded, max_deg),
@@ -181,7 +184,7 @@ class TargetErrors:
         unit = f" {TARGETS[self.target].unit}".rstrip()
         return (
             f"{self.target}: RMSE {self.rmse:.2f}{unit} (always the mean: {self.mean_rmse:.2f}),"
-            f" correlation {self.correlation:.2f}"
+            f" correlation {decimal(self.correlation, 2)}"
         )
 
 

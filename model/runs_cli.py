@@ -25,7 +25,6 @@ from common.output import print_message, print_next, print_result, print_table
 if TYPE_CHECKING:
     from model.runs.run_summary import RunSummary
 
-_A_WHOLE_LAP: Final = 0.99  # a drive may end one message before the line
 SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
     "newest": lambda run: _descending(run.written_at),
     "name": lambda run: run.name,
@@ -184,8 +183,10 @@ def _interventions(drive: Mapping[str, Any]) -> str:
 
 
 def _part_of_lap(drive: Mapping[str, Any]) -> str:
+    from model.runs.verdict import A_WHOLE_LAP
+
     laps = drive.get("laps")
-    is_part = isinstance(laps, int | float) and 0 <= laps < _A_WHOLE_LAP
+    is_part = isinstance(laps, int | float) and 0 <= laps < A_WHOLE_LAP
     return f" in {laps:.2f} laps" if is_part else ""
 
 

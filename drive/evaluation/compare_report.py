@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def print_comparison(comparison: Comparison, names: Sequence[str]) -> None:
     errors = comparison.a.measures
     length = f" of {BLOCK_S:g} s" if comparison.units == "blocks" else ""
-    units = f"{comparison.unit_count:,} {comparison.units}{length}"
+    units = f"{counted(comparison.unit_count, comparison.units.removesuffix('s'))}{length}"
     title = f"{counted(len(comparison.unit), 'frame')} in {units}; errors in {errors.unit.name}"
     print_table(_table(title, comparison.differences, names, errors.unit), "")
     apart = decimal(errors.unit.of(comparison.answers_apart_deg), 2)

@@ -36,6 +36,7 @@ from model.runs.answer_scale import AnswerScale
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.run_files import without_nan
 from model.runs.run_folder import load_answer_scale, load_config, run_name, speed_ahead_s_of_run, targets_of_run
+from model.runs.run_numbers import index_of_config
 from model.runs.trained_on import count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
@@ -66,6 +67,7 @@ class Evaluation:
     answers: AnswerScale = field(default_factory=AnswerScale)  # applied to the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers and the frames have
     max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
+    smooth: frozenset[str] = frozenset()  # sessions that were steered smoothly
 
     @cached_property
     def measures(self) -> Measures:
@@ -108,7 +110,8 @@ class Evaluation:
 
     @cached_property
     def reaction_time(self) -> ReactionTime | None:
-        return reaction_time(self.frames)
+        """None also if a session was steered smoothly: its steering is alike at many delays."""
+        return None if self.smooth & self.sessions.keys() else reaction_time(self.frames)
 
     @cached_property
     def sessions(self) -> dict[str, Measures]:
@@ -234,6 +237,8 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
     frames = _from_index(view, samples)
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
     sessions = dict(by_session(frames.filter(pa.array(is_decoded))))
+    labels_of_sessions = index_of_config({"data": samples.metadata}).labels
+    smooth = frozenset(name for name, of_session in labels_of_sessions.items() if of_session.hand == "smooth")
     unmeasured = [_unmeasured(run, samples) for run in runs]
     notices = tuple(dict.fromkeys(notice for of_run in unmeasured for notice in of_run.values()))
     labels = [
@@ -252,6 +257,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
             answers=load_answer_scale(run),
             targets=(*STEERING_ONLY, *recorded),
             max_deg=samples.max_steering_deg,
+            smooth=smooth,
         )
         for run, predicted, config, recorded in zip(runs, answers, configs, labels, strict=True)
     ]

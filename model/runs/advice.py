@@ -160,7 +160,7 @@ def has_one_session(numbers: RunNumbers) -> Advice | None:
 
 
 def has_one_side(numbers: RunNumbers) -> Advice | None:
-    bins = numbers.measured.bins if numbers.measured is not None else ()
+    bins = numbers.held_out_bins
     left, right = (sum(b.frames for b in bins if b.high <= 0), sum(b.frames for b in bins if b.low >= 0))
     if not left + right or min(left, right) >= FEW_OF_A_SIDE * (left + right):
         return None
@@ -220,7 +220,7 @@ def _interventions(drive: Mapping[str, Any]) -> int:
 def _turns_learnt(numbers: RunNumbers) -> int | None:
     """Estimated rows of turns in the training data, from the share of turns among the frames held out; None if
     unknown."""
-    bins = numbers.measured.bins if numbers.measured is not None else ()
+    bins = numbers.held_out_bins
     held_out = sum(part.frames for part in bins)
     frames = sum(count.frames for count in numbers.data.counts.values())
     rows = sum(labels.habits.rows for labels in numbers.data.labels.values())

@@ -3,7 +3,8 @@
 82 networks predicted recordings that none of them had learnt from. Then each drove a quarter lap at 15 mph on
 lake, mountain and five random roads. A network stayed on the road if it needed no intervention on any of the
 roads. All roads are built in, the networks are alike (few recipes and seeds), and the edges were chosen with the
-same networks: on other roads, the result is less certain than an interval says.
+same networks: on other roads, the result is less certain than an interval says. The errors are of ten recordings
+together. On one recording with keys, networks that stayed on the road had errors of 0.76 to 1.43.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ class Drivable:
 def drivable(driving_error: float, hands: Collection[Hand], *, is_unseen: bool) -> Drivable:
     """Judge an error on rows that were steered by `hands`. With several or no hands, all must agree.
 
-    Without `is_unseen`, the network has learnt other rows of the same drives, so its errors are smaller. An error
-    that is too large is then certain; a small one is uncertain.
+    Without `is_unseen`, the network has learnt other rows of the same drives, so its errors are smaller. A small
+    error is then uncertain.
     """
     bands = {hand: _band(driving_error, hand) for hand in (hands or STUDY)}
     if len({STUDY[hand].index(band) for hand, band in bands.items()}) > 1:

@@ -14,7 +14,7 @@ import msgspec
 
 from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG
 from common.errors import printable
-from model.metrics import Measures
+from model.metrics import BinErrors, Measures
 from model.runs.enough_to_drive import Hand
 from model.runs.history_lines import parse_measures
 from model.runs.kept_results import KeptResult
@@ -104,6 +104,13 @@ class RunNumbers:
     @property
     def kept(self) -> Epoch | None:
         return next((epoch for epoch in reversed(self.epochs) if epoch.is_best), None)
+
+    @property
+    def held_out_bins(self) -> tuple[BinErrors, ...]:
+        """The steering bins of the run's own frames held out, which are like those that it learns. Other sessions
+        may have other bends."""
+        measured = self.measured if not self.is_unseen or self.kept is None else self.kept.measures
+        return measured.bins if measured is not None else ()
 
     @property
     def is_built_in(self) -> bool:

@@ -156,18 +156,18 @@ def _summary(run: Path) -> RunSummary:
         epochs=epochs[-1].epoch if epochs else 0,
         epochs_asked=numbers.training.epochs,
         **_errors(kept),
-        split=_split(stored["data"], kept.measures.frames) if kept and numbers.data.logs else "",
+        split=_split(stored["data"], kept) if kept and kept.measures.frames and numbers.data.logs else "",
         results=results,
         verdict=verdict_of(numbers),
     )
 
 
-def _split(data: Mapping[str, Any], frames: int) -> str:
+def _split(data: Mapping[str, Any], kept: Epoch) -> str:
     """A short name of the frames held out: a hash of the logs, the settings of the split and the number of
     frames."""
     settings = data.get("settings", {})
     logs = {name: log.get("fingerprint") for name, log in data["logs"].items()}
-    described = [logs, {name: settings.get(name) for name in _SPLIT_SETTINGS}, frames]
+    described = [logs, {name: settings.get(name) for name in _SPLIT_SETTINGS}, kept.measures.frames]
     return hashlib.sha256(json.dumps(described, sort_keys=True, default=str).encode()).hexdigest()[:8]
 
 

@@ -22,6 +22,8 @@ OF_THE_MEAN: Final = 2.0
 FEW_FRAMES: Final = 300
 """Half a minute at ten frames a second: six blocks of 5 s, within which errors are alike. Fewer blocks give no
 reliable interval (`model.evaluation.differences`)."""
+A_WHOLE_LAP: Final = 0.99
+"""A drive may end one message before the line."""
 _UNKNOWN: Final = Drivable(None, "")
 
 
@@ -79,7 +81,8 @@ class Verdict:
     @property
     def summary(self) -> str:
         if not self.beside_mean:
-            return f"nothing was held out, so its error is unknown{self.driven and f'; {self.driven}'}"
+            why = "the measured steering never changes" if self.frames else "nothing was held out"
+            return f"{why}, so its error is unknown{self.driven and f'; {self.driven}'}"
         *before_rmse, rmse = self.beside_mean
         worse = [error for error in self.beside_mean if not error.ratio < 1]
         better = [error for error in self.beside_mean if error.ratio < 1]
@@ -115,7 +118,11 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     driven = ""
     if interventions is not None:
         tracks = counted(len(numbers.drives), "track")
-        driven = f"has driven {tracks} with {counted(interventions, 'intervention')}"
+        laps = [drive.get("laps") for drive in numbers.drives]
+        known = [driven_laps for driven_laps in laps if isinstance(driven_laps, int | float)]
+        is_part = len(known) == len(laps) and min(known) < A_WHOLE_LAP
+        part = f"{sum(known):.2f} laps of " if is_part else ""
+        driven = f"has driven {part}{tracks} with {counted(interventions, 'intervention')}"
     frames = measured.frames if measured is not None else 0
     return Verdict(errors, judged, advice(numbers), driven, interventions, numbers.has_crashes, frames)
 

@@ -11,6 +11,7 @@ import pytest
 
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import untrained_run
+from histories import epoch_line
 from logs import write_log
 from model.runs.kept_results import keep_result
 from model.runs_cli import main as bc_runs
@@ -125,6 +126,18 @@ def test_networks_measured_on_other_frames_are_marked_and_ranked_apart(
     assert [(line[0], line[5]) for line in lines] == [("dddd", "A"), ("ccc", "B"), ("bb", "C"), ("a", "C")]
     said = " ".join(printed.err.split())
     assert "`bc-eval dddd --session NAME` and `bc-eval ccc --session NAME`" in said.replace(".venv/bin/", "")
+
+
+def test_a_run_that_holds_nothing_out_has_no_frames_to_compare(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a_run(tmp_path, "measured")
+    unmeasured = a_run(tmp_path, "unmeasured")
+    measured_on(unmeasured, {"tiny": "three"})
+    (unmeasured / "metrics.jsonl").write_text(json.dumps(epoch_line(1, frames=0)) + "\n")
+    assert [bool(run["split"]) for run in listed(capsys, tmp_path, "--sort", "name")] == [True, False]
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    assert "differ" not in capsys.readouterr().err
 
 
 def test_the_last_drive_of_each_track_and_speed_counts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

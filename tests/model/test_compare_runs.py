@@ -169,6 +169,9 @@ def test_of_too_few_blocks_nothing_is_said_but_that(
     assert call(main, "--compare", "good", "shifted", "--session", log) == 3
     assert "at least 6 blocks" in capsys.readouterr().err
     assert compared(capsys, "good", "good", "--session", log)[0] == 0  # the same answers are no worse
+    log = write_log(tmp_path / "one.mcap", STEERING[:5], posts(STEERING), cameras=["center"], step_ns=STEP_NS)
+    assert call(main, "--compare", "good", "shifted", "--session", log) == 3
+    assert "5 frames in 1 block of 5 s" in capsys.readouterr().out
 
 
 def test_the_frames_are_those_that_the_index_of_a_holds_out(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,9 @@ import statistics
 import numpy as np
 import pytest
 
-from model.metrics import constant_errors, errors, measure
+from model.epoch_printer import EpochPrinter
+from model.metrics import constant_errors, errors, measure, target_errors
+from model.runs.training_progress import Epoch
 from toy import STEERING
 
 
@@ -25,6 +27,18 @@ def test_where_nothing_can_be_measured_is_nan() -> None:
     nothing = errors(np.zeros(0), np.zeros(0))
     assert all(map(math.isnan, (nothing.mae_deg, nothing.rmse_deg, nothing.turning_mae_deg, nothing.correlation)))
     assert math.isnan(errors(np.array([0.1]), np.array([0.0])).turning_mae_deg)
+
+
+def test_an_unknown_correlation_is_printed_as_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of steering or of a pedal that never changes."""
+    still = np.full(60, 0.25)
+    throttle = target_errors("throttle", np.zeros(60), still)
+    EpochPrinter("last").epoch(
+        Epoch(1, 0.1, 0.1, measure(still + 0.1, still), True, 1.0, 100.0, targets=(throttle,))
+    )
+    printed = capsys.readouterr().out
+    assert "nan" not in printed
+    assert printed.count("correlation -") == 2
 
 
 def test_an_edge_between_bins_is_the_same_one_in_float32() -> None:

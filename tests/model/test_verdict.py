@@ -262,6 +262,14 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     assert advised.command == command
 
 
+def test_turns_of_an_unseen_session_are_not_counted_as_learnt() -> None:
+    """The unseen road has only left bends, and few."""
+    straight = np.concatenate([np.zeros(1190), np.full(10, -0.3)])
+    unseen = numbers().of_rows(measure(straight + 0.2, straight), ["unseen"])
+    assert unseen.is_unseen
+    assert advice(unseen) == advice(numbers())
+
+
 def test_epochs_are_advised_before_rows_also_of_few_turns() -> None:
     """In the study, networks of 220 rows left the road 41 and 53 times after one epoch, and at most twice after
     ten."""
@@ -306,6 +314,18 @@ def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:
     (run / "config.json").write_text("{")
     with pytest.raises(RunError, match=r"config\.json"):
         judge(run)
+
+
+@pytest.mark.parametrize(
+    ("laps", "said"),
+    [((0.03,), "0.03 laps of 1 track"), ((1.0, 0.25), "1.25 laps of 2 tracks"), ((1.0, 1.0), "driven 2 tracks")],
+)
+def test_a_part_of_a_lap_is_no_driven_track(laps: tuple[float, ...], said: str) -> None:
+    drives = tuple(
+        {"track": f"random:{number}", "set_speed_mph": 10.0, "interventions": 0, "laps": of_drive}
+        for number, of_drive in enumerate(laps)
+    )
+    assert f"{said} with 0 interventions" in verdict_of(numbers(drives=drives)).summary
 
 
 def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) -> None:
@@ -364,3 +384,13 @@ def test_nan_is_no_verdict_of_being_better() -> None:
     constant = measure(np.zeros(10), np.zeros(10))
     assert math.isnan(constant.network.turning_mae_deg)
     assert verdict_of(numbers(measured=constant)).beside_mean == ()
+
+
+@pytest.mark.parametrize("steering", [0.0, 0.1, 0.25, 1 / 3])
+def test_constant_steering_gives_no_error_to_compare(steering: float) -> None:
+    """The mean of a hundred times 0.1 is not exactly 0.1, and no error is divided by the difference."""
+    constant = measure(np.full(100, steering + 0.2), np.full(100, steering))
+    assert constant.mean.rmse_deg == constant.mean_balanced_rmse_deg == 0
+    assert constant.driving_error < 10
+    verdict = verdict_of(numbers(measured=constant))
+    assert verdict.summary == "the measured steering never changes, so its error is unknown"
