@@ -77,6 +77,9 @@ def rows_of(folder: Path, network: str) -> list[dict[str, Any]]:
     for driver in ("keyboard", "expert"):
         part = frames[frames["session"].str.contains(f"-{driver}-")]
         values += [("offline", driver, name, value) for name, value in offline(part).items()]
+        for session, of_one in part.groupby("session"):
+            error = measure(of_one["predicted"].to_numpy(), of_one["recorded"].to_numpy()).driving_error
+            values.append(("recording", str(session), "driving error", error))
     for line in (folder / "driven" / f"{network}.jsonl").read_text().splitlines():
         drive = json.loads(line)
         numbers = [(name, float(value)) for name, value in drive.items() if is_number(value)]
@@ -252,6 +255,13 @@ def staying(rows: Sequence[Mapping[str, Any]], wide: pd.DataFrame) -> list[str]:
             )
             share = f"{100 * stayed.mean():.0f} % ({100 * low_share:.0f} to {100 * high_share:.0f})"
             lines.append(f"| {hand} | {words} | {len(stayed)} | {stayed.sum()} | {share} |")
+    single = long[long["kind"] == "recording"]
+    for hand, driver in (("keys", "keyboard"), ("smooth", "expert")):
+        part = single[single["where"].str.contains(f"-{driver}-")]
+        has_left = part["network"].isin(wide["network"][~has_stayed])
+        for words, errors in (("stayed", part["value"][~has_left]), ("left", part["value"][has_left])):
+            if len(errors):
+                lines.append(f"- on one recording, {hand}: {words} with {errors.min():.2f} to {errors.max():.2f}")
     return lines
 
 

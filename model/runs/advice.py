@@ -101,7 +101,9 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
     driven, measured = numbers.drives, numbers.measured
     if measured is None or any(_interventions(drive) for drive in driven):
         return None
-    band = drivable(measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen).band
+    band = drivable(
+        measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen, recordings=numbers.recordings
+    ).band
     if band is None or band.share < 1 or not _beats_the_mean_on_turns(numbers):
         return None
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"

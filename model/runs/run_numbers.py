@@ -95,6 +95,7 @@ class RunNumbers:
     data: StoredIndex = field(default_factory=StoredIndex)
     hands: frozenset[Hand] = frozenset()  # of the measured rows; empty if one is unknown
     is_unseen: bool = False  # the run learnt nothing from the drives of the measured rows
+    recordings: int = 0  # with measured rows
     drives: tuple[Mapping[str, Any], ...] = ()  # the last drive of each track and speed
     index: str = "index"  # path, from the current folder
     runs: Path = RUNS
@@ -154,7 +155,14 @@ class RunNumbers:
         all_hands = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
         counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
         is_unseen = bool(counts) and not any(count.training for count in counts)
-        return replace(self, measured=measured, hands=all_hands, is_unseen=is_unseen, has_crashes=False)
+        return replace(
+            self,
+            measured=measured,
+            hands=all_hands,
+            is_unseen=is_unseen,
+            recordings=len(sessions),
+            has_crashes=False,
+        )
 
 
 def run_numbers(

@@ -110,7 +110,7 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     errors = () if measured is None else _compared_with_mean(measured)
     is_known = any(error.name == "driving error" for error in errors)
     judged = (
-        drivable(measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen)
+        drivable(measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen, recordings=numbers.recordings)
         if measured is not None and is_known
         else _UNKNOWN
     )
