@@ -76,7 +76,7 @@ def refuse_contradictions(config: Train) -> None:
         raise UsageError("--on, --takeovers: give one of them")
     if isinstance(config.runs, Url) and config.copy_to is not None:
         raise UsageError(f"--runs {config.runs}: already copies the run to this URL: leave out --copy-to")
-    if Path(config.name).name != config.name or config.name.startswith("."):
+    if Path(config.name).name != config.name or config.name.startswith((".", "-")):
         raise UsageError(f"--name {config.name!r}: expected a plain name; give the folder with --runs")
 
 

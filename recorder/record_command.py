@@ -152,7 +152,7 @@ def _refuse_contradictions(config: Record) -> None:
     name = config.name
     if isinstance(config.sessions, Url) and config.copy_to is not None:
         raise UsageError(f"--sessions {config.sessions}: the log is already copied there: leave out --copy-to")
-    if not name or name.startswith(".") or set(name) & set('/\\:*?"<>|') or printable(name) != name:
+    if not name or name.startswith((".", "-")) or set(name) & set('/\\:*?"<>|') or printable(name) != name:
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as `bc-record lake`")
     if name.endswith(".mcap"):
         command = f"bc-record {shlex.quote(name.removesuffix('.mcap'))}"

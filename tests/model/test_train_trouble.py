@@ -205,6 +205,7 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
         (["--rate", "nan"], "--rate nan: expected a number above 0"),
         (["--dropout", 1], "--dropout 1: expected a number from 0 to 1"),
         (["--name", "a/b"], "--name 'a/b': expected a plain name"),
+        (["--name=-x"], "--name '-x': expected a plain name"),  # `bc-drive -x` would take it for a flag
     ],
 )
 def test_bad_usage_names_the_flag(

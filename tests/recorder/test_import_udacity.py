@@ -465,11 +465,11 @@ def test_an_existing_session_is_replaced_only_with_force(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive", "lake.mcap"]
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", "", "..", ".hidden", "a\\b", "a:b", "a\x1b[2Jb", "a\udc80"])
+@pytest.mark.parametrize("name", ["../x", "a/b", "", "..", ".hidden", "-x", "a\\b", "a:b", "a\x1b[2Jb", "a\udc80"])
 def test_a_name_that_no_index_can_hold_is_refused_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    assert call(main, name, "--sessions", tmp_path / "sessions") == 2
+    assert call(main, "--sessions", tmp_path / "sessions", "--", name) == 2
     assert "not a name for a session" in one_line_in(capsys)
     assert list(tmp_path.iterdir()) == []
 

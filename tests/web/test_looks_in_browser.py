@@ -66,6 +66,7 @@ def test_each_page_has_one_primary_action(browser: Browser, tmp_path: Path) -> N
 def test_the_first_screen_leads_to_all_that_can_be_done_first(browser: Browser, tmp_path: Path) -> None:
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         cards = page.locator(".cards li")
+        assert cards.locator("code").evaluate("code => code.getClientRects().length") == 1  # one line
         assert cards.locator("h3").all_inner_texts() == [
             "Drive it yourself",
             "Import a recording",

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import parse_qsl, urlencode
 
 import pytest
 
@@ -162,6 +163,22 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         wait_until(lambda: "no epoch yet" in bench.get("/runs/killed/top").text)
         assert "measured after the first epoch; bc-train --resume killed" in page(bench, "killed")
+
+
+def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
+    """Left out, a setting would become the default, without a word."""
+    flags = {"recipe": "altered", "light": "as-seen", "rate": 3e-4, "picture_px": [64, 48]}
+    run = a_run(tmp_path / "runs", "mine", 2.0, **flags)
+    config = json.loads((run / "config.json").read_text())
+    config |= {"index": "index-mine", "init": {"run": "first"}}
+    (run / "config.json").write_text(json.dumps(config))
+    with served(tmp_path) as bench:
+        wait_until(lambda: "Train again" in bench.get("/runs/mine/top").text)
+        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get("/runs/mine/top").text)
+        values = dict(parse_qsl(html.unescape(again)))
+        command = bench.get(f"/jobs.command?{urlencode({'form': 'train', **values})}").text
+    for words in ("--light=as-seen", "--rate=0.0003", "--picture-px 64 48", "--on sunday monday", "--init=first"):
+        assert words in command
 
 
 def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -131,6 +132,22 @@ def test_a_drive_that_cannot_begin_says_why(bench: Served) -> None:
     page = begun.headers["location"]
     wait_until(lambda: "has not begun" in bench.get(page).text)
     assert "taken.mcap" in bench.get(page).text
+
+
+@pytest.mark.parametrize(
+    ("page", "values"), [("/wheel", {"name": "mine"}), ("/jobs", {"form": "record", "name": "mine", "laps": "99"})]
+)
+def test_of_two_recordings_of_one_name_only_one_starts(bench: Served, page: str, values: dict[str, str]) -> None:
+    """The other would lose its name at its end."""
+    with ThreadPoolExecutor() as at_once:
+        answers = list(at_once.map(lambda _: bench.post(page, **values), range(2)))
+    begun, refused = sorted(answers, key=lambda answer: answer.status)
+    assert (begun.status, refused.status) == (303, 409)
+    assert "give another name" in refused.text
+    job = f"/jobs/{begun.headers['location'].rpartition('/')[2]}"
+    wait_until(lambda: list((bench.folder / "sessions").glob("mine.mcap.*.part")))
+    bench.post(f"{job}/stop")
+    wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
 
 
 def test_after_a_drive_it_can_be_trained_on_and_driven_on_from(bench: Served) -> None:

@@ -13,7 +13,7 @@ from typing import Final, Literal, get_args
 
 from common.recipe import IndexRecipe, Recipe
 from dataset.config import IndexConfig
-from model.config import TrainConfig
+from model.config import Light, TrainConfig
 from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
 from web.errors import WebError
@@ -210,6 +210,7 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("patience", "patience, epochs", hint="0: all epochs", is_more=True),
             Field("dropout", "dropout", hint=str(_TRAIN.dropout), is_more=True),
             Field("keep", "epoch to keep", choices=_KEEP, is_more=True),
+            Field("light", "light of the pictures", choices=get_args(Light), is_more=True),
             Field("picture_px", "width and height of the picture", is_several=True, is_more=True),
             Field("threads", "processor threads", hint="one a core", is_more=True),
             Field("seed", "seed", hint="0", is_more=True),

@@ -181,13 +181,22 @@ class Jobs:
         )
 
     def start(
-        self, words: Sequence[str], made: str, form: str = "", values: Mapping[str, str] = MappingProxyType({})
+        self,
+        words: Sequence[str],
+        made: str,
+        form: str = "",
+        values: Mapping[str, str] = MappingProxyType({}),
+        *,
+        records: bool = False,
     ) -> Job:
-        """Start a command. `words` are its command line, which a form made of `values`."""
+        """Start a command. `words` are its command line, which a form made of `values`. Raises WebError if it
+        `records` a log that a running job records, too: only one of the logs could get the name."""
         now = datetime.now(UTC)
         key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
         folder = self.folder / key
         with self._lock:
+            if records and any(job.is_running and job.about.made == made for job in self.all()):
+                raise WebError("a job that records a log of this name is running: give another name", 409)
             self._tidy()
             folder.mkdir(parents=True)
             about = About(list(words), now.isoformat(), made, form, dict(values))
@@ -203,8 +212,9 @@ class Jobs:
                 creationflags=_NEW_GROUP,
             )
             (folder / "pid").write_text(str(process.pid), encoding="utf-8")
+            is_ready = process.stdout is not None and _is_ready(process.stdout)  # it counts as running
         threading.Thread(target=process.wait, name="a job", daemon=True).start()  # leaves no zombie
-        if process.stdout is None or not _is_ready(process.stdout):
+        if not is_ready:
             raise WebError(f"{shlex.join(words)}: it did not start; the cache folder may be full", 500)
         return self.get(key)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlencode
@@ -16,8 +17,11 @@ from common import UserError
 from common.car import MAX_STEERING_DEG
 from common.errors import printable
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
+from common.stored_settings import settings_from
 from common.whole_number import whole_number
+from model.config import TrainConfig
 from model.network.names import BUILT_IN
+from model.runs.run_config import load_config
 from web.errors import WebError
 from web.folders.project_folders import PLACES, ProjectFolders, key_of
 from web.pages.changes import runs_version
@@ -34,6 +38,8 @@ _MAX_NUMBERS: Final = 14  # of a result
 _FULL_LOCK_RAD: Final = (
     math.pi / 3
 )  # of the drawn line: more than the wheels' angle, to make a few degrees visible
+_REPEATED: Final = ("rate", "batch", "light", "patience", "dropout", "keep", "picture_px")
+"""Settings of a training that its form has; its machine's are left out."""
 _LINE: Final = 90.0  # length of the line, in a picture of 128 by 128
 
 
@@ -81,12 +87,27 @@ def run_routes(bench: Workbench) -> list[Route]:
 
 
 def _again(card: RunCard) -> str:
-    """The query of a training form with the settings of this run; "" if they are unknown."""
+    """The query of a training form with the settings of this run, as far as the form has them; "" if they are
+    unknown."""
     run = card.summary
     if run is None:
         return ""
+    try:
+        config = load_config(card.path)
+        settings = settings_from(TrainConfig, config.get("training"))
+    except (UserError, ValueError):  # changed meanwhile, or damaged
+        return ""
     values = {"network": run.network if run.network in BUILT_IN else "", "epochs": str(run.epochs_asked)}
     values |= {"recipe": run.recipe, "targets": " ".join(run.targets), "seed": str(run.seed)}
+    usual = asdict(TrainConfig.of(settings.recipe))
+    for name, value in asdict(settings).items():
+        if name in _REPEATED and value != usual[name]:
+            values[name] = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    if str(config.get("index")).endswith(f"index-{card.path.name}"):  # of --on
+        values["on"] = " ".join(run.sessions)
+    match config.get("init"):
+        case {"run": str(init)}:
+            values["init"] = init
     return urlencode({"start": "train", **{name: value for name, value in values.items() if value}})
 
 

@@ -49,7 +49,7 @@ def wheel_routes(bench: Workbench) -> list[Route]:
 
     def start(request: Request, values: Values) -> Response:
         drive = new_drive(values, bench.folders)
-        job = bench.jobs.start(drive.words, _after(drive.place, drive.key))
+        job = bench.jobs.start(drive.words, _after(drive.place, drive.key), records=True)
         return RedirectResponse(f"/wheel/begin/{job.key}", status_code=303)
 
     def begin(request: Request) -> Response:
