@@ -117,7 +117,10 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     interventions = sum(int(drive["interventions"]) for drive in numbers.drives) if numbers.drives else None
     driven = ""
     if interventions is not None:
-        tracks = counted(len(numbers.drives), "track")
+        different = len({drive.get("track") for drive in numbers.drives})
+        tracks = counted(different, "track")
+        if len(numbers.drives) > different:
+            tracks += f" in {len(numbers.drives)} drives"
         laps = [drive.get("laps") for drive in numbers.drives]
         known = [driven_laps for driven_laps in laps if isinstance(driven_laps, int | float)]
         is_part = len(known) == len(laps) and min(known) < A_WHOLE_LAP

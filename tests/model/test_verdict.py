@@ -333,6 +333,8 @@ def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:
     assert isinstance(judge(run), Verdict)
     keep_result(run, "simulator", {"track": "lake", "set_speed_mph": 10.0, "interventions": 0, "distance_m": 1.0})
     assert judge(run).summary.endswith("has driven 1 track with 0 interventions")
+    keep_result(run, "simulator", {"track": "lake", "set_speed_mph": 20.0, "interventions": 1, "distance_m": 1.0})
+    assert judge(run).summary.endswith("has driven 1 track in 2 drives with 1 intervention")
     failed = {"interventions": 2, "track": "x", "set_speed_mph": 9}
     assert verdict_of(numbers(epochs=ENDED, drives=(failed,))).in_short == "leaves the road"
     (run / "config.json").write_text("{")

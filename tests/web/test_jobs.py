@@ -64,6 +64,7 @@ def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
     with Log(sessions / "a b's.mcap") as log:
         assert len(log.vehicle()) > 0
     assert words in text(bench, "/jobs")
+    assert re.search(r'class="last dim">next: <code>[^<]*bc-index', bench.get("/jobs").text)
     assert bench.get(re.findall(r'href="(/sessions/[^"]*)"', bench.get(job).text)[0]).status == 200
 
 
