@@ -219,7 +219,7 @@ def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None
             verdict = judge(run)
         else:
             sessions = [*evaluation.driving.sessions] if evaluation.trained_on == 0 else ()
-            verdict = judge(run, evaluation.driving.measures, sessions)
+            verdict = judge(run, evaluation.driving.measures, sessions, evaluation.hands)
             if evaluation.without_crashes is not None:
                 print_result(
                     f"the verdict is without {counted(evaluation.crashes, 'frame')} of crashes and manoeuvres"

@@ -34,6 +34,7 @@ from model.evaluation.reaction_time import ReactionTime, reaction_time
 from model.metrics import Errors, Measures, TargetErrors, errors, measure, target_errors
 from model.runs.answer_scale import AnswerScale
 from model.runs.car_of_run import refuse_other_steering
+from model.runs.enough_to_drive import Hand
 from model.runs.run_files import without_nan
 from model.runs.run_folder import load_answer_scale, load_config, run_name, speed_ahead_s_of_run, targets_of_run
 from model.runs.run_numbers import index_of_config
@@ -67,7 +68,7 @@ class Evaluation:
     answers: AnswerScale = field(default_factory=AnswerScale)  # applied to the predictions
     targets: tuple[TargetName, ...] = STEERING_ONLY  # that the network answers and the frames have
     max_deg: float | None = MAX_STEERING_DEG  # the wheels' angle at steering 1; None: unknown
-    smooth: frozenset[str] = frozenset()  # sessions that were steered smoothly
+    hands: Mapping[str, Hand] = field(default_factory=dict)  # how sessions were steered, if known
 
     @cached_property
     def measures(self) -> Measures:
@@ -111,7 +112,8 @@ class Evaluation:
     @cached_property
     def reaction_time(self) -> ReactionTime | None:
         """None also if a session was steered smoothly: its steering is alike at many delays."""
-        return None if self.smooth & self.sessions.keys() else reaction_time(self.frames)
+        is_smooth = "smooth" in [self.hands.get(session) for session in self.sessions]
+        return None if is_smooth else reaction_time(self.frames)
 
     @cached_property
     def sessions(self) -> dict[str, Measures]:
@@ -238,7 +240,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
     frames = frames.append_column("crash", pa.array(_in_crashes(frames, samples)))
     sessions = dict(by_session(frames.filter(pa.array(is_decoded))))
     labels_of_sessions = index_of_config({"data": samples.metadata}).labels
-    smooth = frozenset(name for name, of_session in labels_of_sessions.items() if of_session.hand == "smooth")
+    hands = {name: of_session.hand for name, of_session in labels_of_sessions.items() if of_session.hand}
     unmeasured = [_unmeasured(run, samples) for run in runs]
     notices = tuple(dict.fromkeys(notice for of_run in unmeasured for notice in of_run.values()))
     labels = [
@@ -257,7 +259,7 @@ def _evaluate(runs: Sequence[Path], samples: Samples, view: pa.Table) -> list[Ev
             answers=load_answer_scale(run),
             targets=(*STEERING_ONLY, *recorded),
             max_deg=samples.max_steering_deg,
-            smooth=smooth,
+            hands=hands,
         )
         for run, predicted, config, recorded in zip(runs, answers, configs, labels, strict=True)
     ]

@@ -48,10 +48,9 @@ STUDY: Final[dict[Hand, tuple[Band, Band, Band]]] = {
 RECORDINGS: Final = 5
 """The errors in `STUDY` are of so many recordings together. On one recording, they vary too much for the edges."""
 
-TOO_WEAK: Final[dict[Hand, float]] = {"keys": 1.45, "smooth": 0.9}
-"""On a single recording, no network that stayed on the road had an error this large (16 networks, five recordings
-each). There is no such limit for a small error: on keys, networks that left the road had errors from 0.83 on,
-those that stayed from 0.76 on."""
+ON_ONE: Final[dict[Hand, tuple[float, float]]] = {"keys": (0.83, 1.43), "smooth": (0.5, 0.86)}
+"""The smallest error on a single recording of a network that left the road, and the largest of one that stayed (16
+networks, five recordings each)."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +80,10 @@ def drivable(driving_error: float, hands: Collection[Hand], *, is_unseen: bool, 
     why = f"{share} ({100 * low:.0f} to {100 * high:.0f} %)"
     if band.stayed == band.networks and not is_unseen:
         return Drivable(None, f"{why}, but their errors are on drives new to them", band)
-    if recordings < RECORDINGS and any(driving_error < TOO_WEAK[hand] for hand in bands):
-        together = f"{why}, but their errors are of {RECORDINGS} recordings together; one says less"
-        return Drivable(None, together, band)
+    left_from, stayed_to = (edge({ON_ONE[hand][i] for hand in bands}) for i, edge in enumerate((min, max)))
+    if recordings < RECORDINGS and driving_error <= stayed_to:
+        one = f"on one recording, networks that stayed on built-in roads had errors up to {stayed_to:.2f}"
+        return Drivable(None, f"{one}, those that left from {left_from:.2f} on", band)
     return Drivable(None if 0 < band.stayed < band.networks else bool(band.stayed), why, band)
 
 

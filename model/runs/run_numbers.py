@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -149,9 +150,15 @@ class RunNumbers:
         folder = folders.pop() if len(folders) == 1 else "sessions"
         return "" if folder == "sessions" else f" --sessions {shlex.quote(folder)}"
 
-    def of_rows(self, measured: Measures | None, sessions: Sequence[str]) -> RunNumbers:
-        """A copy with the errors `measured` on rows of these sessions."""
-        hands = [self.data.labels.get(name, StoredLabels()).hand for name in sessions]
+    def of_rows(
+        self,
+        measured: Measures | None,
+        sessions: Sequence[str],
+        known: Mapping[str, Hand] = MappingProxyType({}),
+    ) -> RunNumbers:
+        """A copy with the errors `measured` on rows of these sessions. `known` says how sessions that are not in
+        the run's index were steered."""
+        hands = [self.data.labels.get(name, StoredLabels()).hand or known.get(name) for name in sessions]
         all_hands = frozenset(hand for hand in hands if hand) if all(hands) else frozenset()
         counts = [self.data.counts.get(name, StoredCounts()) for name in sessions]
         is_unseen = bool(counts) and not any(count.training for count in counts)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
@@ -18,6 +19,7 @@ from common.steering_unit import SteeringUnit, steering_unit
 from common.store_record import read_record
 from model.errors import RunError
 from model.metrics import Measures
+from model.runs.enough_to_drive import Hand
 from model.runs.history import read_epochs
 from model.runs.kept_results import KeptResult, kept_results
 from model.runs.network_of_run import stored_network, stored_targets
@@ -114,16 +116,22 @@ def summarize_runs(runs: Location) -> Iterator[RunSummary]:
         yield replace(summary, folder=str(stored.url), problem=problem)
 
 
-def judge(run: Path | str, measured: Measures | None = None, sessions: Sequence[str] = ()) -> Verdict:
+def judge(
+    run: Path | str,
+    measured: Measures | None = None,
+    sessions: Sequence[str] = (),
+    hands: Mapping[str, Hand] = MappingProxyType({}),
+) -> Verdict:
     """The verdict on a run, from the numbers in its folder. If `measured` is given, it judges these errors on rows
-    of `sessions`. Raises RunError if the run cannot be read."""
+    of `sessions`; `hands` says how those are steered that the run has not learnt from. Raises RunError if the run
+    cannot be read."""
     run = config_folder(Path(run))
     try:
         config = load_config(run)
         numbers = run_numbers(run, config, read_epochs(run), last_results(run), is_training=is_being_trained(run))
     except (OSError, ValueError) as error:
         raise RunError(f"{run}: cannot be judged ({' '.join(str(error).split())})") from None
-    return verdict_of(numbers if measured is None else numbers.of_rows(measured, sessions))
+    return verdict_of(numbers if measured is None else numbers.of_rows(measured, sessions, hands))
 
 
 def summarize_run(run: Path) -> RunSummary:

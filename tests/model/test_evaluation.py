@@ -234,7 +234,7 @@ def test_a_smooth_driver_has_no_reaction_time(cwd: Path, tmp_path: Path) -> None
     earlier = pa.array(np.roll(measured.frames["recorded"].to_numpy(), -3))
     late = replace(measured, frames=measured.frames.drop(["predicted"]).append_column("predicted", earlier))
     assert late.reaction_time is None
-    assert replace(late, smooth=frozenset()).reaction_time is not None
+    assert replace(late, hands={}).reaction_time is not None
 
 
 def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:

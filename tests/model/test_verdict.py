@@ -21,7 +21,7 @@ from model import Advice, RunError, Verdict, judge
 from model.metrics import Measures, measure
 from model.runs.advice import RULES, advice
 from model.runs.answer_scale import AnswerScale
-from model.runs.enough_to_drive import EDGES, STUDY, TOO_WEAK, Hand, drivable, wilson_interval
+from model.runs.enough_to_drive import EDGES, ON_ONE, STUDY, Hand, drivable, wilson_interval
 from model.runs.kept_results import keep_result
 from model.runs.run_numbers import RunNumbers, run_numbers
 from model.runs.training_progress import Epoch
@@ -143,17 +143,24 @@ def test_enough_to_drive(hands: Any, error: float, is_unseen: bool, expected: bo
     [
         ({"keys"}, 0.9, None),
         ({"keys"}, 1.43, None),  # of a network that drives all roads of the study
-        ({"keys"}, 1.5, False),
+        ({"keys"}, 1.44, False),
         ({"smooth"}, 0.3, None),
         ({"smooth"}, 0.86, None),
-        ({"smooth"}, 0.95, False),
-        (set(), 0.95, None),  # not too weak for keys
+        ({"smooth"}, 0.87, False),
+        (set(), 1.3, None),  # not too weak for keys
     ],
 )
 def test_few_recordings_give_no_certain_verdict(hands: Any, error: float, expected: bool | None) -> None:
     for recordings in (1, 4):
         judged = drivable(error, hands, is_unseen=True, recordings=recordings)
         assert judged.is_enough is expected
+
+
+@pytest.mark.parametrize(
+    ("hand", "says"), [("keys", "1.43, those that left from 0.83"), ("smooth", "0.86, those")]
+)
+def test_the_kind_of_an_unseen_recording_counts(hand: Hand, says: str) -> None:
+    assert says in verdict_of(numbers().of_rows(measured(0.1), ["new"], {"new": hand})).summary
 
 
 def test_the_counts_are_those_of_the_study() -> None:
@@ -171,12 +178,11 @@ def test_the_counts_are_those_of_the_study() -> None:
             names = [name for name, error in errors.items() if low <= error < high]
             stayed = sum(not left[name] for name in names)
             assert (band.below, band.networks, band.stayed) == (high, len(names), stayed)
-        of_one = [
-            row["value"]
-            for row in rows
-            if row["kind"] == "recording" and f"-{driver}-" in row["where"] and not left[row["network"]]
-        ]
-        assert TOO_WEAK[hand] - 0.05 < max(of_one) < TOO_WEAK[hand]
+        of_one = [row for row in rows if row["kind"] == "recording" and f"-{driver}-" in row["where"]]
+        has_left, has_stayed = (
+            [row["value"] for row in of_one if bool(left[row["network"]]) is is_left] for is_left in (True, False)
+        )
+        assert ON_ONE[hand] == (round(min(has_left), 2), round(max(has_stayed), 2))
 
 
 def test_wilsons_interval() -> None:
