@@ -51,7 +51,10 @@ def record(config: Record) -> int:
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
-    odd = describe(done.path, with_tags=False).odd or ()
+    info = describe(done.path, with_tags=False)
+    if info.lag is not None and info.lag.correlation < 0:
+        print_message(f"{done.path}: its pictures turn the other way: is left right?", style="yellow")
+    odd = info.odd or ()
     for line in odd_lines(odd):
         print_message(line, heading="odd:", style="yellow")
     for line in odd_advice(odd, done.path):

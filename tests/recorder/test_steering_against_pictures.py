@@ -15,6 +15,7 @@ from dataset.frames.frames_file import read_frames
 from dataset.frames.image_check_cache import write_image_check
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
+from recorder.cli import main as bc_record
 from recorder.log_cli import main as bc_log
 from recorder.rows.row_quality import States
 from recorder.seen.steering_against_pictures import against_pictures
@@ -80,6 +81,19 @@ def test_a_check_names_a_recording_that_is_mirrored(tmp_path: Path, capsys: pyte
     said = capsys.readouterr().out
     assert "700 pictures decoded: 1 finding\n" in said
     assert "  sessions whose pictures turn the other way: 1 (all rows; is left right?)\n" in said
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_import_says_that_it_is_mirrored(side: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    steering = side * hand(np.arange(700) / RATE_HZ)
+    lines = [f"{row}.jpg,{row / RATE_HZ},{steering[row]},15" for row in range(700)]
+    for row, picture in enumerate(views(700)):
+        (tmp_path / f"{row}.jpg").write_bytes(picture)
+    csv = tmp_path / "drive.csv"
+    csv.write_text("\n".join(["image,t,steering,mph", *lines]))
+    columns = ("image=image", "time_s=t", "steering=steering", "speed_mph=mph")
+    assert call(bc_record, "a", "--from", csv, "--columns", *columns, "--sessions", tmp_path / "sessions") == 0
+    assert ("a.mcap: its pictures turn the other way" in capsys.readouterr().err) is (side < 0)
 
 
 def flagged_rows(index: Path) -> list[int]:
