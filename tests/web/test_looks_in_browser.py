@@ -115,5 +115,5 @@ def test_a_command_stays_unfolded_while_the_list_changes(browser: Browser, tmp_p
         assert entry.locator("a").inner_text() == "Record first lap"
         entry.locator("summary").click()
         page.evaluate(SWAPPED)
-        assert entry.locator("code").is_visible()
-        assert "bc-record 'first lap' --laps=none" in entry.locator("code").inner_text()
+        assert entry.locator("details code").is_visible()
+        assert "bc-record 'first lap' --laps=none" in entry.locator("details code").inner_text()
