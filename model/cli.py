@@ -65,7 +65,7 @@ def train(config: Train) -> int:
         listeners.append(copy)
     is_own_index = bool(config.on or config.takeovers)
     index, code = _own_index(config, run, init) if is_own_index else _index_of(config, like)
-    print_result(f"{run}: {summary}{_resumed_at(run) if is_resumed else ''}")
+    print_result(f"{run}: {summary}{_resumed_at(run, settings.epochs) if is_resumed else ''}")
     try:
         trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
     except (KeyboardInterrupt, RunWriteError):
@@ -157,15 +157,17 @@ def _named(network: str) -> str:
     return "" if network == "original" else f"{printable(network)}, "
 
 
-def _resumed_at(run: Path) -> str:
-    """The end of the first printed line: the position at which a resumed run continues."""
+def _resumed_at(run: Path, epochs: int) -> str:
+    """The end of the first printed line: the position at which a resumed run continues; empty if it has learnt all
+    its epochs."""
     from model.runs.checkpoint import read_position
     from model.runs.run_folder import has_nothing_saved
 
     if has_nothing_saved(run):
         return ", restarted from its seed: it was stopped before anything was saved"
     position = read_position(run)
-    return f", continued in epoch {position.epoch:,} after batch {position.batch:,}"
+    is_over = position.epoch > epochs
+    return "" if is_over else f", continued in epoch {position.epoch:,} after batch {position.batch:,}"
 
 
 def _resume(run: Path, index: Location) -> str:

@@ -393,7 +393,9 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     )
     capsys.readouterr()
     assert call(main, "--resume", "first", *places) == 0
-    assert "all its epochs are learnt" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "all its epochs are learnt" in said
+    assert "continued in epoch" not in said
     assert call(main, "--resume", "first", "--batch", 4, *places) == 1
     assert "began with --batch 8" in capsys.readouterr().err
     assert call(main, "--resume", "nobody", *places) == 1
