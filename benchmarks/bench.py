@@ -122,8 +122,6 @@ def check_out(commit: str, folder: Path) -> None:
 def start(tree: Path, inputs: Path, core: int, stack: ExitStack) -> subprocess.Popen[str]:
     """Start a process that works with the version in `tree`, and ends with `stack`."""
     script = tree / "benchmarks" / "bench.py"  # each version's own script knows how to call it
-    if "--serve" not in script.read_text(encoding="utf-8"):
-        script = Path(__file__)  # for versions before 2026-11-27
     path = {"PYTHONPATH": f"{tree}{os.pathsep}{tree / 'tests' / 'helpers'}"}
     fixed = {"PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "THP_MEM_ALLOC_ENABLE": "1"}  # its pages: bc-train's
     process = subprocess.Popen(
