@@ -178,16 +178,11 @@ def _by_speed(drives: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _interventions(drive: Mapping[str, Any]) -> str:
+    from model.runs.verdict import part_of_laps
+
     persons = f" ({drive['by_person']} by a person)" if drive.get("by_person") else ""
-    return f"{drive['track']} {drive['interventions']}{persons}{_part_of_lap(drive)}"
-
-
-def _part_of_lap(drive: Mapping[str, Any]) -> str:
-    from model.runs.verdict import A_WHOLE_LAP
-
-    laps = drive.get("laps")
-    is_part = isinstance(laps, int | float) and 0 <= laps < A_WHOLE_LAP
-    return f" in {laps:.2f} laps" if is_part else ""
+    laps = part_of_laps([drive])
+    return f"{drive['track']} {drive['interventions']}{persons}{laps and f' in {laps}'}"
 
 
 def _speed_mph(drive: dict[str, Any]) -> float:

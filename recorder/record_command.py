@@ -52,7 +52,7 @@ def record(config: Record) -> int:
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
     info = describe(done.path, with_tags=False)
-    if info.lag is not None and info.lag.correlation < 0:
+    if info.lag is not None and info.lag.is_mirrored:
         print_message(f"{done.path}: its pictures turn the other way: is left right?", style="yellow")
     odd = info.odd or ()
     for line in odd_lines(odd):

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 from common.errors import counted, printable
 from model.runs.answer_scale import AnswerScale
-from model.runs.enough_to_drive import drivable
 from model.runs.run_numbers import RunNumbers
 
 FEW_EPOCHS: Final = 4
@@ -101,9 +100,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
     driven, measured = numbers.drives, numbers.measured
     if measured is None or any(_interventions(drive) for drive in driven):
         return None
-    band = drivable(
-        measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen, recordings=numbers.recordings
-    ).band
+    band = numbers.drivable.band if numbers.drivable is not None else None
     if band is None or band.share < 1 or not _beats_the_mean_on_turns(numbers):
         return None
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"

@@ -80,7 +80,8 @@ def drivable(driving_error: float, hands: Collection[Hand], *, is_unseen: bool, 
     why = f"{share} ({100 * low:.0f} to {100 * high:.0f} %)"
     if band.stayed == band.networks and not is_unseen:
         return Drivable(None, f"{why}, but their errors are on drives new to them", band)
-    left_from, stayed_to = (edge({ON_ONE[hand][i] for hand in bands}) for i, edge in enumerate((min, max)))
+    left_from = min(ON_ONE[hand][0] for hand in bands)
+    stayed_to = max(ON_ONE[hand][1] for hand in bands)
     if recordings < RECORDINGS and driving_error <= stayed_to:
         one = f"on one recording, networks that stayed on built-in roads had errors up to {stayed_to:.2f}"
         return Drivable(None, f"{one}, those that left from {left_from:.2f} on", band)

@@ -16,7 +16,7 @@ import msgspec
 from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG
 from common.errors import printable
 from model.metrics import BinErrors, Measures
-from model.runs.enough_to_drive import Hand
+from model.runs.enough_to_drive import Drivable, Hand, drivable
 from model.runs.history_lines import parse_measures
 from model.runs.kept_results import KeptResult
 from model.runs.run_arguments import RUNS, run_argument
@@ -106,6 +106,14 @@ class RunNumbers:
     @property
     def kept(self) -> Epoch | None:
         return next((epoch for epoch in reversed(self.epochs) if epoch.is_best), None)
+
+    @property
+    def drivable(self) -> Drivable | None:
+        """Whether the errors `measured` are small enough to drive; None without errors."""
+        if self.measured is None:
+            return None
+        error, hands = self.measured.driving_error, self.hands
+        return drivable(error, hands, is_unseen=self.is_unseen, recordings=self.recordings)
 
     @property
     def held_out_bins(self) -> tuple[BinErrors, ...]:

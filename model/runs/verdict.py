@@ -8,13 +8,14 @@ print(*judge("runs/first").lines, sep="\\n")
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from common.errors import counted, decimal
 from model.metrics import Measures
 from model.runs.advice import Advice, advice
-from model.runs.enough_to_drive import Drivable, drivable
+from model.runs.enough_to_drive import Drivable
 from model.runs.run_numbers import RunNumbers
 
 OF_THE_MEAN: Final = 2.0
@@ -22,7 +23,7 @@ OF_THE_MEAN: Final = 2.0
 FEW_FRAMES: Final = 300
 """Half a minute at ten frames a second: six blocks of 5 s, within which errors are alike. Fewer blocks give no
 reliable interval (`model.evaluation.differences`)."""
-A_WHOLE_LAP: Final = 0.99
+_A_WHOLE_LAP: Final = 0.99
 """A drive may end one message before the line."""
 _UNKNOWN: Final = Drivable(None, "")
 
@@ -109,11 +110,7 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
     measured = numbers.measured
     errors = () if measured is None else _compared_with_mean(measured)
     is_known = any(error.name == "driving error" for error in errors)
-    judged = (
-        drivable(measured.driving_error, numbers.hands, is_unseen=numbers.is_unseen, recordings=numbers.recordings)
-        if measured is not None and is_known
-        else _UNKNOWN
-    )
+    judged = numbers.drivable if is_known else None
     interventions = sum(int(drive["interventions"]) for drive in numbers.drives) if numbers.drives else None
     driven = ""
     if interventions is not None:
@@ -121,13 +118,17 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
         tracks = counted(different, "track")
         if len(numbers.drives) > different:
             tracks += f" in {len(numbers.drives)} drives"
-        laps = [drive.get("laps") for drive in numbers.drives]
-        known = [driven_laps for driven_laps in laps if isinstance(driven_laps, int | float)]
-        is_part = len(known) == len(laps) and min(known) < A_WHOLE_LAP
-        part = f"{sum(known):.2f} laps of " if is_part else ""
-        driven = f"has driven {part}{tracks} with {counted(interventions, 'intervention')}"
+        laps = part_of_laps(numbers.drives)
+        driven = f"has driven {laps and f'{laps} of '}{tracks} with {counted(interventions, 'intervention')}"
     frames = measured.frames if measured is not None else 0
-    return Verdict(errors, judged, advice(numbers), driven, interventions, numbers.has_crashes, frames)
+    return Verdict(errors, judged or _UNKNOWN, advice(numbers), driven, interventions, numbers.has_crashes, frames)
+
+
+def part_of_laps(drives: Sequence[Mapping[str, Any]]) -> str:
+    """The laps of some drives together, "0.03 laps"; empty if each is whole, or if one is unknown."""
+    laps: list[Any] = [drive.get("laps") for drive in drives]
+    is_known = all(isinstance(of_one, int | float) and of_one >= 0 for of_one in laps)
+    return f"{sum(laps):.2f} laps" if is_known and min(laps) < _A_WHOLE_LAP else ""
 
 
 def _compared_with_mean(measured: Measures) -> tuple[ComparedError, ...]:

@@ -63,7 +63,7 @@ def plan_labels(habits: SteeringHabits, finding: LagFinding | None, driven_by: s
     if habits.kind not in ("steps", "smooth"):
         return LabelPlan(0.0, 0.0, True, _WHY[habits.kind])
     lag = finding.lag if finding else None
-    if lag is not None and lag.correlation < 0:
+    if lag is not None and lag.is_mirrored:
         return LabelPlan(0.0, 0.0, True, "the pictures turn the other way: is left right?")
     if habits.kind == "smooth":
         # smooth drivers steer with the bend: steering and turning fit equally well at many lags

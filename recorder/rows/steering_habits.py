@@ -74,6 +74,11 @@ class SteeringLag:
     pictures: int  # decoded
     margin_s: float | None = None  # uncertainty of `lag_s`; None if an earlier version measured it
 
+    @property
+    def is_mirrored(self) -> bool:
+        """True if the pictures turn the other way: left and right may be swapped."""
+        return self.correlation < 0
+
 
 @dataclass(frozen=True)
 class LagFinding:
@@ -103,9 +108,10 @@ def steering_habits(
     step_s = usual_step(steps_s) if len(steps_s) else None
     presses = _presses(steering, drive)
     out_of_range = 1 - rows / len(in_range) if len(in_range) else 0.0
+    is_beyond = bool((np.abs(states.steering) > 1).any())  # False for NaN
     ceiling = _ceilings(steering, elapsed_s(time_ns))
     return SteeringHabits(
-        kind=_kind(states.steering, in_range, driven_s(states.time_ns), ceiling[1]),
+        kind=_kind(steering, out_of_range, is_beyond, driven_s(states.time_ns), ceiling[1]),
         rows=rows,
         out_of_range=out_of_range,
         driven_s=driven_s(states.time_ns),
@@ -125,13 +131,11 @@ def steering_habits(
     )
 
 
-def _kind(every: Values, in_range: NDArray[np.bool_], seconds: float, ceiling: float | None) -> Kind:
-    steering = every[in_range]
-    is_steered_beyond = not steering.any() and bool((np.abs(every) > 1).any())  # False for NaN
-    if is_steered_beyond or (len(every) and 1 - in_range.mean() > MAX_OUT_OF_RANGE):
+def _kind(steering: Values, out_of_range: float, is_beyond: bool, seconds: float, ceiling: float | None) -> Kind:
+    if out_of_range > MAX_OUT_OF_RANGE:
         return "other scale"
     if not steering.any():  # also without rows
-        return "none"
+        return "other scale" if is_beyond else "none"
     if (steering == steering[0]).all():
         return "constant"
     if seconds < ENOUGH_S:

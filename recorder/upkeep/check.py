@@ -91,7 +91,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
             odd = odd_stretches(states_of(log))
         if look and has_rows:
             lag, is_lag_kept = find_lag(log)
-            if lag is not None and lag.lag is not None and lag.lag.correlation < 0:
+            if lag is not None and lag.lag is not None and lag.lag.is_mirrored:
                 findings.append(Finding("sessions whose pictures turn the other way", "all rows; is left right?"))
         if look and has_rows and isinstance(path, Path):
             from recorder.seen.shown_stretches import with_pictures  # OpenCV
