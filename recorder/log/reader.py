@@ -47,6 +47,8 @@ _ROWS_AT_ONCE: Final = 4096
 _PART: Final = 1 << 23
 _NEAR_BYTES: Final = 4096  # reading and checking so many bytes takes as long as reading one message alone
 
+Contents = tuple[bytes, NDArray[np.int64], NDArray[np.int64]]
+"""Bytes, and the positions in them where each message starts and ends."""
 Decoded = TypeVar("Decoded", bound="ProtobufMessage")
 
 
@@ -294,13 +296,14 @@ class Log(Closeable):
         entries = self._of_topic(topic_name)
         kind = topics.TOPICS[topic_name].message.load()
         try:
-            values = decode_numbers(list(self._contents(entries)), kind, fields)
+            parts = [decode_numbers(*part, kind, fields) for part in self._contents(entries)]
         except DecodeError as error:
             raise self._no_such_message(topic_name, kind) from error
         columns = {
             "row": entries["sequence"].astype(np.int64),
             "log_time_ns": entries["log_time_ns"].astype(np.int64),
         }
+        values = np.concatenate([np.empty((len(fields), 0)), *parts], axis=1)
         return pa.table(columns | dict(zip(fields, values, strict=True)))
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
@@ -333,7 +336,12 @@ class Log(Closeable):
     def contents(self, topic: str) -> Iterator[tuple[Message, bytes]]:
         """The messages on `topic` with their bytes, in the order of writing."""
         entries = self._of_topic(topic)
-        return zip(_messages(entries), self._contents(entries), strict=True)
+        contents = (
+            data[start:end]
+            for data, starts, ends in self._contents(entries)
+            for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
+        )
+        return zip(_messages(entries), contents, strict=True)
 
     def decoded(self, topic: str) -> Iterator[tuple[Message, Any]]:
         """The messages on a topic of the registry. Raises LogError for a message of another type."""
@@ -419,20 +427,33 @@ class Log(Closeable):
             except DecodeError as error:
                 raise self._no_such_message(topic, kind) from error
 
-    def _contents(self, entries: NDArray[np.void]) -> Iterator[bytes]:
-        """The contents of messages of the index. For messages close together, the chunk is read once; messages far
-        apart, among pictures, are read one by one."""
-        is_near = np.diff(entries["offset"], prepend=-_NEAR_BYTES, append=2**62) < _NEAR_BYTES
-        has_neighbour = is_near[:-1] | is_near[1:]
-        records_at, records = 0, b""
-        columns = (*(entries[name] for name in _PLACE), has_neighbour)
-        for offset, length, chunk, is_with_others in _in_plain_numbers(*columns):
-            if chunk != UNCOMPRESSED or not is_with_others:
-                yield self._chunk_reader.read(offset, length, chunk)
-                continue
-            if not records_at <= offset <= offset + length <= records_at + len(records):
-                records_at, records = self._chunk_reader.records_around(offset, length)
-            yield records[offset - records_at : offset - records_at + length]
+    def _contents(self, entries: NDArray[np.void]) -> Iterator[Contents]:
+        """The contents of messages of the index, in parts of some megabytes. For messages close together, the
+        chunk is read once; messages far apart, among pictures, are read one by one."""
+        for at in range(0, len(entries), _ROWS_AT_ONCE):
+            rows = entries[at : at + _ROWS_AT_ONCE]
+            offset, chunk = rows["offset"], rows["chunk"]
+            is_near = (np.diff(offset) < _NEAR_BYTES) | (chunk[1:] != UNCOMPRESSED)
+            is_near &= np.diff(self._chunk_reader.chunks_of(offset, chunk)) == 0
+            ends = [*(np.flatnonzero(~is_near) + 1).tolist(), len(rows)]
+            starts = np.empty(len(rows), np.int64)
+            pieces, size, done, first = [], 0, 0, 0
+            for end in ends:
+                start, length, of_chunk = (int(rows[name][first]) for name in _PLACE)
+                if end - first == 1:
+                    piece = self._chunk_reader.read(start, length, of_chunk)
+                else:
+                    start, piece = self._chunk_reader.records_around(start, length, of_chunk)
+                starts[first:end] = offset[first:end] + (size - start)
+                pieces.append(piece)
+                size += len(piece)
+                first = end
+                if size >= _PART or end == len(rows):
+                    begins, stops = starts[done:end], starts[done:end] + rows["length"][done:end]
+                    if begins.min() < 0 or stops.max() > size:
+                        raise self._file.damaged("a message lies outside its chunk")
+                    yield b"".join(pieces), begins, stops
+                    pieces, size, done = [], 0, end
 
     def _no_such_message(self, topic: str, kind: type[ProtobufMessage]) -> LogError:
         return self._file.damaged(f"a message on {topic} is not a {kind.DESCRIPTOR.full_name}")

@@ -8,6 +8,9 @@ from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from recorder.mcap.mcap_file import Chunk, McapFile
 from recorder.mcap.message_index import UNCOMPRESSED
 
@@ -23,6 +26,7 @@ class ChunkReader:
         self._file = file
         self._chunks = chunks
         self._starts = [chunk.start for chunk in chunks]
+        self._starts_and_none = np.array([*self._starts, -1], np.int64)
         self._is_verified = bytearray(len(chunks))
         self._unpacked: OrderedDict[int, bytes] = OrderedDict()
         self._lock = threading.Lock()
@@ -49,14 +53,22 @@ class ChunkReader:
             self._is_verified[number] = True
         return self._file.read(offset, length)
 
-    def records_around(self, offset: int, length: int) -> tuple[int, bytes]:
-        """The records of the uncompressed chunk that has these bytes, and their offset in the file. Raises as
-        `read`."""
+    def chunks_of(self, offset: NDArray[np.int64], chunk: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The start of the chunk of each place (N,); -1 before the first chunk."""
+        number = np.searchsorted(self._starts_and_none[:-1], offset, side="right") - 1
+        return np.where(chunk == UNCOMPRESSED, self._starts_and_none[number], chunk)
+
+    def records_around(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> tuple[int, bytes]:
+        """The records of the chunk that has these bytes, and their offset in the file, or 0 if they are unpacked.
+        Raises as `read`."""
+        if chunk != UNCOMPRESSED:
+            self.read(offset, length, chunk)
+            return 0, self._unpacked_records(chunk)
         number = self._number_of(offset, length)
-        chunk = self._chunks[number]
-        records = self._unpacked_records(chunk.start) if self._file.is_remote else self._file.records(chunk)
+        found = self._chunks[number]
+        records = self._unpacked_records(found.start) if self._file.is_remote else self._file.records(found)
         self._is_verified[number] = True
-        return self._file.records_at(chunk), records
+        return self._file.records_at(found), records
 
     def _number_of(self, offset: int, length: int) -> int:
         number = bisect.bisect_right(self._starts, offset) - 1

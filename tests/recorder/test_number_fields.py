@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 from hypothesis import example, given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.mcap.number_fields import decode_numbers
+from recorder.mcap import number_fields
 
 NAMES = ("steering", "throttle", "brake", "speed_mph")
+
+
+def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequence[str]) -> NDArray[np.float64]:
+    """The numbers of messages with other bytes between them, as in a log."""
+    ends = np.cumsum([3 + len(content) for content in contents], dtype=np.int64)
+    starts = ends - [len(content) for content in contents]
+    data = b"".join(b"\xff\x09\x11" + content for content in contents)
+    return number_fields.decode_numbers(data, starts.astype(np.int64), ends, kind, names)
+
 
 numbers = st.one_of(st.just(0.0), st.just(-0.0), st.floats(width=64))
 states = st.tuples(numbers, numbers, numbers, numbers).map(
