@@ -9,9 +9,7 @@ import tyro
 
 from common.tasks import Tasks, one_by_one
 
-RayAddress = Annotated[
-    tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]", help_behavior_hint="(default: none)")
-]
+RayAddress = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[ADDRESS]")]
 """The flag `--ray [ADDRESS]`: None without the flag, empty without an address."""
 
 

@@ -79,7 +79,6 @@ def _argument(invocation: str, meaning: str) -> Argument:
         meaning, default = meaning[: match.start()], match[2] or ""
     if default in {"None", "none", "not", "True", "False", "''"}:  # an option that is off
         default = ""
-    invocation = invocation.replace("{None}|", "").replace("{None,", "{").replace("{INT INT}", "INT INT")
     return Argument(_REPEATED.sub(r"\1 ...", invocation), meaning, default)
 
 

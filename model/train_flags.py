@@ -30,17 +30,17 @@ class Train:
 
     RARE: ClassVar[str] = "tensorboard listener sessions drives copy_to"
     REMOVED: ClassVar[Mapping[str, str]] = {"--ray": "one training is one process; leave it out"}
-    name: str = ""
+    name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the run; by default date, time and six random digits."""
-    resume: str | None = None
+    resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Resume this run; more --epochs make it longer."""
-    init: str | None = None
+    init: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Start from this run's weights."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SESSION [SESSION ...]")] = ()
     """Train only on these sessions; builds index-NAME."""
     takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
     """Add these drives' takeovers to the samples of --init."""
-    like: str | None = None
+    like: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Use this run's settings and index, except for flags that you give."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard."""

@@ -28,7 +28,7 @@ class Sim:
     Drives the built-in track --track; or, with --replay, sends recorded pictures as telemetry.
     """
 
-    track: str = "lake"
+    track: Annotated[str, tyro.conf.arg(metavar="TRACK")] = "lake"
     """lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
     """Laps to drive."""

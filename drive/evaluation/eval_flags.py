@@ -34,7 +34,7 @@ class Eval:
     """Name or folder; by default the newest."""
     network: tuple[str, ...] = ()
     """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
-    compare: Annotated[tuple[str, str] | None, _default("A B", "none")] = None
+    compare: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="A B")] = None
     """Compare B with A on the same frames or tracks."""
     gate: bool = False
     """With --compare: exit code 1 if B is worse."""
@@ -44,7 +44,7 @@ class Eval:
     """The index to measure on."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
     """Frames held out, or those for training."""
-    session: Annotated[tuple[str, ...] | None, _default("SESSION [SESSION ...]", "none")] = None
+    session: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="SESSION [SESSION ...]")] = None
     """Measure on these whole sessions, without an index."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
     """The logs, for --session and foreign indexes."""
@@ -52,7 +52,7 @@ class Eval:
     """Also show the errors in each steering bin."""
     worst: Annotated[int | None, _default("INT", "none; 10 with --json")] = None
     """Worst frames to list, at most one a second."""
-    simulator: Annotated[tuple[str, ...] | None, _default("TRACK [TRACK ...]", "none")] = None
+    simulator: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="TRACK [TRACK ...]")] = None
     """Drive these tracks: lake, mountain, random:SEED, hairpins:SEED."""
     laps: Annotated[float | None, _default("FLOAT", "1")] = None
     """Laps on each track."""

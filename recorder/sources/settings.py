@@ -20,7 +20,7 @@ class SimulatedDrive:
     """A drive of the built-in simulator."""
 
     RARE: ClassVar[str] = "start recovery noise"
-    track: str = "lake"
+    track: Annotated[str, tyro.conf.arg(metavar="TRACK")] = "lake"
     """lake, mountain, random:SEED, or hairpins:SEED."""
     driver: DriverName | Literal["me"] = "expert"
     """The expert, a simulated person at keyboard or mouse, or you (me)."""

@@ -46,6 +46,17 @@ def test_help_shows_the_defaults_of_the_recipe(capsys: pytest.CaptureFixture[str
     assert "(default: as-recorded)" in " ".join(capsys.readouterr().out.replace("│", "").split())
 
 
+def test_help_shows_neither_none_nor_empty_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+    for command, *words in ((bc_train,), (bc_drive,), (bc_play,), (bc_eval,), (bc_log, "info"), (bc_log, "trim")):
+        assert call(command, *words, "--help-all") == 0
+        shown = " ".join(capsys.readouterr().out.replace("│", "").split())
+        assert "{None" not in shown
+        assert "(default: )" not in shown
+        assert "(default: '')" not in shown
+    assert "--start FLOAT" in shown
+    assert "LOG The log to trim. (required)" in shown
+
+
 def test_help_of_a_subcommand_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_log, "trim", "--help") == 0
     assert "--rows" in capsys.readouterr().out
