@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import inspect
 import logging
 import re
 import sys
@@ -101,7 +102,7 @@ def run_command(
     with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
         with signals_wake_main_thread(), handle_signals(_interrupt), _logging_as_messages():
             try:
-                about = f"{(description or config.__doc__ or '').rstrip()}\n\n{_VERSION_FLAG}"
+                about = f"{_paragraphs(description or config.__doc__ or '')}\n\n{_VERSION_FLAG}"
                 code = _run(prog, config, action, about, default)
                 drain(is_patient=not stop.is_requested)
             except KeyboardInterrupt:
@@ -110,6 +111,12 @@ def run_command(
             code = print_error(prog, UserError(f"standard output: {why}"))
             drain(is_patient=False)
     sys.exit(code)
+
+
+def _paragraphs(docstring: str) -> str:
+    """The text of a docstring, with commands indented."""
+    lines = inspect.cleandoc(docstring).splitlines()
+    return "\n".join(f"    {line}" if line.startswith("bc-") else line for line in lines)
 
 
 @contextlib.contextmanager
