@@ -92,7 +92,7 @@ def test_a_training_leads_to_its_run_whatever_becomes_of_it(bench: Served) -> No
     assert f'href="/runs/{run}"' in bench.get(job).text
     (exit_code,) = (bench.folder / "cache" / "jobs").glob("*/*/exit")
     exit_code.write_text("130")  # it was stopped
-    (go_on,) = re.findall(r'href="([^"]*)">Go on', bench.get(job).text)
+    (go_on,) = re.findall(r'href="([^"]*)">Continue training', bench.get(job).text)
     assert f'value="{run}"' in bench.get(html.unescape(go_on)).text
 
 
