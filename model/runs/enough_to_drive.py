@@ -2,8 +2,8 @@
 
 82 networks predicted recordings that none of them had learnt from. Then each drove a quarter lap at 15 mph on
 lake, mountain and five random roads. A network stayed on the road if it needed no intervention on any of the
-roads. All roads are built in, the networks are alike (few recipes and seeds), and the edges were chosen with the
-same networks: on other roads, the result is less certain than an interval says.
+roads. On other roads, the result is less certain than an interval says: all roads are built in, the networks are
+alike (few recipes and seeds), and the edges were chosen with the same networks.
 """
 
 from __future__ import annotations

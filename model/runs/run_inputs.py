@@ -86,8 +86,8 @@ def log_to_open(run: Path, session: str, log: Location) -> Location:
 
 
 def sessions_of(run: Path) -> Location | None:
-    """The folder with all logs of a run's index; None if they are in several folders, if the run may not name the
-    folder, or if it is on this machine and does not exist any more."""
+    """The folder with all logs of a run's index. None if the logs are in several folders, if the run may not name
+    the folder, or if a folder of this machine does not exist any more."""
     folders: set[Location] = {log.parent for log in logs_of(run).values()}
     if len(folders) != 1:
         return None
