@@ -66,8 +66,8 @@ def frames_of(
     driver: NDArray[np.int8] | None = None,
     device: NDArray[np.int8] | None = None,
 ) -> pa.Table:
-    """The frames of a session. `driver` (N,) is the driver at each vehicle state, as from `driven_states`,
-    `device` (N,) the device, as from `Log.devices`; None: unknown."""
+    """The frames of a session. `driver` (N,), as from `driven_states`, and `device` (N,), as from `Log.devices`,
+    are those at each vehicle state; None: unknown."""
     unknown = np.zeros(len(states.row), np.int8)
     driver = unknown if driver is None else driver
     device = unknown if device is None else device
