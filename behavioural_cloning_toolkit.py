@@ -49,12 +49,12 @@ def refuse_hidden(room: str) -> None:
 
 
 def viewer() -> None:
-    """The viewer beside another command, which starts it (`common.preview`)."""
+    """The viewer of another command, which starts it (`common.preview`)."""
     _import_main("viewer", "viz.preview_command")()
 
 
 def wheel_page() -> None:
-    """The page of a wheel beside another command, which starts it (`common.wheel_page`)."""
+    """The wheel page of another command, which starts it (`common.wheel_page`)."""
     _import_main("bc-web", "web.wheel_command")()
 
 

@@ -46,7 +46,8 @@ STUDY: Final[dict[Hand, tuple[Band, Band, Band]]] = {
 
 
 RECORDINGS: Final = 5
-"""The errors in `STUDY` are of so many recordings together. On one recording, they vary too much for the edges."""
+"""The errors in `STUDY` are of this many recordings together. On one recording, they vary too much for the
+edges."""
 
 ON_ONE: Final[dict[Hand, tuple[float, float]]] = {"keys": (0.83, 1.43), "smooth": (0.5, 0.86)}
 """The smallest error on a single recording of a network that left the road, and the largest of one that stayed (16

@@ -69,7 +69,7 @@ class Row:
 class RowReader:
     """Reads rows from a csv's lines, given in order. Unusable lines go to `skipped`.
 
-    With `rate_hz`, there are so many rows a second, from 1970 on, independent of the pictures' names.
+    `rate_hz`: rows a second, from 1970 on, instead of the times in the pictures' names.
     """
 
     def __init__(self, skipped: Skipped, rate_hz: float | None = None) -> None:

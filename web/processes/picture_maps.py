@@ -26,7 +26,7 @@ _FORMAT: Final = 1
 class MapAbout(msgspec.Struct, frozen=True):
     """The description of a map."""
 
-    step: int  # one of so many pictures is shown
+    step: int  # every `step`-th picture is shown
     odd: list[str]  # the kinds of odd rows; the column `odd` has their numbers
     groups: list[int]  # the picture in the middle of each group
     max_deg: float | None  # the wheels' angle at steering 1; None: unknown, or logs have different angles
