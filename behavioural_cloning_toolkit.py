@@ -1,8 +1,8 @@
 """The entry points of all commands, and the check that the rooms' names are not taken by other packages.
 
-The rooms have short names that others use too: a student's own `model.py` beside a script, or a package that is
-installed beside. This module's name is unique. Each room calls `refuse_hidden` before it imports those under it,
-and every command starts here: its imports take a second or more, in which Ctrl-C may be pressed.
+The rooms have short names that others use, too: a student's own `model.py`, or another installed package. This
+module's name is unique. Each room calls `refuse_hidden` before it imports those under it. Every command starts
+here, so that Ctrl-C also works during its imports, which take a second or more.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ def refuse_hidden(room: str) -> None:
 
 
 def viewer() -> None:
-    """The viewer beside another command, which starts it (`common.preview`)."""
+    """The viewer of another command, which starts it (`common.preview`)."""
     _import_main("viewer", "viz.preview_command")()
 
 
 def wheel_page() -> None:
-    """The page of a wheel beside another command, which starts it (`common.wheel_page`)."""
+    """The wheel page of another command, which starts it (`common.wheel_page`)."""
     _import_main("bc-web", "web.wheel_command")()
 
 

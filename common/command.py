@@ -186,7 +186,7 @@ def _run(
             traceback.print_exc()
             return FAILED
         why = _no_memory(error)
-    # Not in an `except` block: only after it are the interrupted objects released, and is a progress bar erased.
+    # After the `except` block: its end releases the interrupted objects, and erases a progress bar.
     if why is not None:
         return print_error(prog, kind(why))
     print_message("stopped", heading=f"{prog}:")

@@ -1,7 +1,7 @@
 """Errors that a user's input causes, and the count of skipped items.
 
-Every error that a user's files, flags or network can cause derives from `UserError`; a command prints it in
-one line and ends with exit code 1, or 2 for a `UsageError`. Any other exception is a bug and keeps its traceback.
+Every error that a user's files, flags or network can cause derives from `UserError`. A command prints it in one
+line and ends with exit code 1 (`UsageError`: 2). Any other exception is a bug and keeps its traceback.
 
     UserError
     ├── UsageError       (common)     flags that contradict each other, or an invalid value of a flag

@@ -182,8 +182,8 @@ def read_part(url: Url, part: tuple[int, int] | SuffixRange) -> tuple[ObjectMeta
 def again_if_cut_off(
     url: Url, request: Callable[[], T | None], may_repeat: Callable[[], bool] = lambda: True
 ) -> T:
-    """The answer to a request, which is repeated if the answer is cut off: `request` then raises GenericError or
-    returns None. obstore itself repeats requests without an answer. Raises obstore's errors, and StoreError."""
+    """The answer to a request. If the answer is cut off, `request` raises GenericError or returns None, and is
+    called again. obstore itself repeats requests without an answer. Raises obstore's errors, and StoreError."""
     for attempt in range(1, _MAX_ATTEMPTS + 1):
         try:
             if (answer := request()) is not None:

@@ -47,9 +47,9 @@ def keep_freed_memory() -> None:
     """Let the C library keep freed memory for later allocations, up to 2 GiB.
 
     By default, glibc returns every block of more than 32 MiB to the system, and a new block needs zeroed pages.
-    The outputs of the first layers have this size. Measured on 2 cores, bfloat16, 64 pictures at once, for a batch
-    of 256: 165,000 page faults and 0.79 s by default, none and 0.57 s with this setting. Other C libraries do not
-    have this threshold.
+    The outputs of the first layers have this size. With this setting, a batch of 256 takes 0.57 s and no page
+    fault; by default, 0.79 s and 165,000 page faults (2 cores, bfloat16, 64 pictures at once). Other C libraries
+    do not have this threshold.
     """
     if not sys.platform.startswith("linux"):
         return

@@ -7,9 +7,9 @@ import contextlib
 from typing import Final, Literal, get_args
 
 Recipe = Literal["altered", "people", "original"]
-"""people: best for recordings of people (docs/studies/learning-from-people.md); altered: as `people`, with new
-random alterations of the pictures in every epoch, all in the same light, and the last epoch; original: the
-settings of the original implementation."""
+"""`original`: the settings of the original implementation. `people`: for recordings of people
+(docs/studies/learning-from-people.md). `altered`: as `people`, but with new random alterations of the pictures in
+every epoch, the same light in all pictures, and the weights of the last epoch."""
 
 IndexRecipe = Literal["people", "original"]
 """`altered` and `people` learn from the same index."""

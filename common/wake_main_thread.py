@@ -22,9 +22,9 @@ _END: Final = 0  # no signal has this number
 def signals_wake_main_thread() -> Iterator[None]:
     """Make the main thread run the handlers of `STOP_SIGNALS` soon, also while it waits for a process.
 
-    Handlers run only in the main thread, between two bytecodes. Without this, a Ctrl-C would have no effect until
-    the wait ends by itself, in two cases: the system delivers the signal to another thread (libraries start
-    threads that do not block signals), or the signal comes just before the main thread begins to wait.
+    Handlers run only in the main thread, between two bytecodes. In two cases, a Ctrl-C would otherwise have no
+    effect until the wait ends by itself: the system delivers the signal to another thread (libraries start threads
+    that do not block signals), or the signal comes just before the main thread begins to wait.
 
     In every thread, Python's C handler immediately writes the signal's number to a pipe
     (https://docs.python.org/3/library/signal.html#signal.set_wakeup_fd). A thread reads the pipe and sends SIGURG

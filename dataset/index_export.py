@@ -29,8 +29,8 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
     With `where`, one of these frames must also meet the condition. The steering is the recorded one, not the
     label. `options` are those of `export_lerobot`.
 
-    Raises DatasetError if the index is missing, does not fit its logs, or the condition is wrong; LogError if
-    nothing can be exported; UserError if no row is used, or if `folder` exists or cannot be written.
+    Raises DatasetError if the index is missing or does not fit its logs, or if the condition is wrong. Raises
+    LogError if nothing can be exported, UserError if no row is used, or if `folder` exists or cannot be written.
     """
     with Samples(index) as samples:
         chosen = _chosen_rows(index, samples, where)

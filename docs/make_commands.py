@@ -16,7 +16,7 @@ from generated_blocks import ROOT, update, with_blocks
 
 PAGE: Final = ROOT / "docs" / "commands.md"
 COLUMNS: Final = 129
-"""From 130 on, boxes stand beside each other."""
+"""From 130 on, boxes stand next to each other."""
 _REPEATED: Final = re.compile(r"\[?(\S+) \[\1 \.\.\.\]\]?")  # `[{a,b} [{a,b} ...]]`
 _DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
 

@@ -40,7 +40,8 @@ PICTURE: Final = Path(__file__).absolute().parent / "pictures" / "drive-train-dr
 NAME: Final = "my-drive"
 LAPS: Final = 0.5
 DRIVEN_AT, NETWORK_AT, FILMED_S = 0.335, 0.575, 6.5
-"""Where on the track the pictures of a drive begin, in laps: the sharpest bend of each half. How long they are."""
+"""The place on the track at which the pictures of each drive begin, in laps: the sharpest bend of each half. Their
+length in seconds."""
 
 _WINDOW: Final = {"width": 720, "height": 484}
 _WIDTH, _CAPTION_PX = 640, 40
@@ -268,7 +269,7 @@ def make(browser: Browser, address: str, epochs: int | None) -> None:
 
 
 def main(epochs: int | None = None) -> None:
-    """Make the README's moving picture. The training is stopped after so many epochs, or ends by itself."""
+    """Make the README's moving picture. The training is stopped after `epochs`, or ends by itself."""
     with (
         tempfile.TemporaryDirectory() as folder,
         contextlib.chdir(folder),

@@ -43,8 +43,8 @@ def screenshot(rrd: Path, timeline: str, at: float) -> Picture:
 
 
 def _still(client: ViewerClient) -> Picture:
-    """What is shown when it does not change any more: views decode on their own threads, and nothing tells when
-    they are done."""
+    """The viewer's picture when it does not change any more: views decode on their own threads, and nothing shows
+    when they are done."""
     before = b""
     for _ in range(round(_PATIENCE_S / _APART_S)):
         time.sleep(_APART_S)

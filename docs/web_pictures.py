@@ -142,7 +142,7 @@ def in_rerun(shown: Shown) -> None:
         for key in "jjo":
             page.keyboard.press(key)
         page.wait_for_selector("#rerun[data-shown]")
-        page.wait_for_timeout(20_000)  # nothing tells when all views are drawn
+        page.wait_for_timeout(20_000)  # nothing shows when all views are drawn
         shown.keep(page, "session-rerun")
 
 

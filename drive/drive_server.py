@@ -61,8 +61,8 @@ class DriveServer:
         """Opens the log and starts to listen. Port 0 takes a free port.
 
         `notify` gets a line for each event; `show_status` gets the status of the drive ten times a second. With
-        `track`, the simulator is the built-in one on that track: it loses no telemetry, so its silence is no
-        fault, and it does not connect again. `at_wheel` lets a person take over from the network, in the first
+        `track`, the simulator is the built-in one on that track: its silence is no fault, because it loses no
+        telemetry, and it does not connect again. `at_wheel` lets a person take over from the network, in the first
         simulator that connects. Raises UserError if `log` exists and may not be overwritten, ListenError if the
         port is taken.
         """

@@ -25,7 +25,7 @@ from recorder.upkeep.derived_log import close_with_tags
 WATCHDOG_S: Final = 1.0
 """The silence after which a command is sent: if all telemetry is lost, Udacity's simulator sends more only after a
 command. The time grows by this value for each such command of the last minute, minus the messages left unanswered
-for them: a simulator with longer steps would otherwise get a further command in each step."""
+for them. Otherwise, a simulator with longer steps would get a further command in each step."""
 
 FORGET_S: Final = 60.0
 """The time after which a command of the watchdog does not count any more."""

@@ -13,7 +13,7 @@ import numpy as np
 
 AHEAD = 2  # tiles from the nearest one to the one that is steered to, and one more for each AHEAD_SPEED
 AHEAD_SPEED = 12.0
-BEND_TILES = 10  # the bend that the speed is chosen for lies within so many
+BEND_TILES = 10  # the speed is chosen for the bend within this many tiles
 FAST, SLOW = 75.0, 35.0  # on a straight, and where those tiles turn by half a circle
 ASTRAY = 0.8  # radians: a car that is turned so far away slides
 

@@ -1,6 +1,6 @@
 """A simulator of one's own in 60 lines: a winding road, one camera, and a driver to record.
 
-It drives itself beside `bc-record mine --listen`; a network drives it beside `bc-drive mine`.
+With `bc-record mine --listen` it drives itself; with `bc-drive mine` a network drives it.
 """
 
 import math

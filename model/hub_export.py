@@ -53,9 +53,9 @@ class HubFolder:
 def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = None) -> HubFolder:
     """Write a run as the new folder `folder`, which appears whole or not at all. Uploads nothing.
 
-    If the network cannot be written as ONNX, the ONNX file is missing, and `onnx_problem` is the reason.
-    Raises RunError if the run is incomplete, damaged, of another version, or of a user's own network that was not
-    named (`load_code`), if ONNX is not installed, or if the disk is full; UserError if `folder` exists.
+    If the network cannot be written as ONNX, the ONNX file is missing, and `onnx_problem` is the reason. Raises
+    RunError if the run is incomplete, damaged or of another version, if it needs a user's own network that was not
+    named (`load_code`), if ONNX is not installed, or if the disk is full. Raises UserError if `folder` exists.
     """
     run, folder = Path(run), Path(folder)
     if config_folder(run) != run:

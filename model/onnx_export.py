@@ -62,7 +62,7 @@ def export_onnx(run: Path | str, path: Path | str, *, of_camera: bool = False, o
     and "crop" is a further output. The file's metadata describe its use. Equal runs give equal bytes.
 
     Raises RunError if the run is incomplete, damaged or of another version, if its network cannot be written or
-    its steering differs, if ONNX, ONNX Script or ONNX Runtime is not installed, or if the disk is full; UserError
+    its steering differs, if ONNX, ONNX Script or ONNX Runtime is missing, or if the disk is full. Raises UserError
     if `path` exists.
     """
     require_onnx()

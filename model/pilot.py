@@ -129,8 +129,8 @@ class Pilot:
         """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
 
         From now on, the process computes on one thread. On two threads, a picture is a fifth faster. But on a busy
-        machine, every layer waits for the slower thread (one answer in a hundred takes 20 ms), and the last bits
-        of the steering would depend on the number of cores. A GPU replays its recorded work on a picture if it
+        machine, every layer waits for the slower thread (one answer in a hundred takes 20 ms). The last bits of
+        the steering would also depend on the number of cores. A GPU replays its recorded work on a picture if it
         can.
         """
         keep_freed_memory()
@@ -161,15 +161,14 @@ def load_pilot(run: Path | str, precision: Precision = "auto", device: Device = 
     """The pilot of a run folder.
 
     `device` "auto" takes a GPU if there is one. `precision` "auto" takes bfloat16 if the device supports it, as
-    training does. On a processor, bfloat16 takes five eighths of the time of float32. On 5,000 pictures, real and
-    rendered, a trained network's steering differed by 0.02 degrees on average, and by 0.2 degrees at most, from
-    float32, in which evaluations measure.
+    training does. On a processor, bfloat16 takes five eighths of the time of float32, in which evaluations
+    measure. On 5,000 pictures, a trained network's steering differed by 0.02 degrees on average, 0.2 at most.
 
     With "auto", a network that does not work in bfloat16 drives in float32, and one that does not work on the GPU
     drives on the processor.
 
-    Raises RunError if the run is incomplete, damaged or of another version, if its network is a user's own and was
-    not named (`load_code`) or does not work on this machine, or if the device does not exist.
+    Raises RunError if the run is incomplete, damaged or of another version, if its network does not work on this
+    machine, if it is a user's own and was not named (`load_code`), or if the device does not exist.
     """
     run = Path(run)
     picture = picture_of_run(run)

@@ -103,7 +103,7 @@ def refuse_taken_name(log: Url, overwrite: bool) -> None:
 
 
 def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-record") -> int:
-    """Copy a new recording. Exit code 3 if it is not copied: it is recorded all the same."""
+    """Copy a new recording. Exit code 3 if it is recorded but not copied."""
     code = copy_logs([log], to, overwrite=overwrite, prog=prog)
     if code == FAILED:
         print_message(f"`bc-log copy {shlex.quote(str(log))} {shlex.quote(str(to))}` copies it later")

@@ -93,8 +93,8 @@ def write_video(
     """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as the drive.
 
     `overlay` draws instruments below the pictures. An unfinished log is shown up to its last complete chunk.
-    Raises LogError if the log cannot be read; UserError if PyAV is not installed, if the log has no picture of the
-    centre camera, if `video` exists and may not be overwritten, or if the disk is full.
+    Raises LogError if the log cannot be read. Raises UserError if PyAV is not installed, if the log has no picture
+    of the centre camera, if `video` exists and may not be overwritten, or if the disk is full.
     """
     _require_av()
     check_speed(speed)

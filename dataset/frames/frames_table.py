@@ -43,8 +43,8 @@ def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]
 def driven_states(log: Log) -> tuple[States, NDArray[np.int8]]:
     """The vehicle states of a log (N,), and the driver at each, as a position in `DRIVERS`.
 
-    During a takeover by an expert or a person, the steering is the command at the picture, which a network is to
-    learn, because the wheels follow later. Raises LogError if the log is damaged.
+    During a takeover by an expert or a person, the steering is the command at the picture: a network is to learn
+    the command, and the wheels follow later. Raises LogError if the log is damaged.
     """
     states = States.of(log.vehicle())
     commands = read_commands(log)
@@ -66,8 +66,8 @@ def frames_of(
     driver: NDArray[np.int8] | None = None,
     device: NDArray[np.int8] | None = None,
 ) -> pa.Table:
-    """The frames of a session. `driver` (N,) is the driver at each vehicle state, as from `driven_states`,
-    `device` (N,) the device, as from `Log.devices`; None: unknown."""
+    """The frames of a session. `driver` (N,), as from `driven_states`, and `device` (N,), as from `Log.devices`,
+    are those at each vehicle state; None: unknown."""
     unknown = np.zeros(len(states.row), np.int8)
     driver = unknown if driver is None else driver
     device = unknown if device is None else device
@@ -123,8 +123,8 @@ def _split_of(
     """The split of each row (N,): 0 for training, 1 for validation, 2 for the gap between them.
 
     Validation is a share of the used frames, never all of them. Blocks without used frames do not count. Short
-    drives and takeovers have few blocks, of any length, so that chance may hold out more than half of the frames:
-    then training and validation are exchanged.
+    drives and takeovers have few blocks, of any length. If chance holds out more than half of the frames, training
+    and validation are exchanged.
     """
     if config.validation:
         return np.full(len(block), int(session in config.validation), np.int8)
@@ -149,8 +149,8 @@ def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
 
 
 def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfig) -> NDArray[np.bool_]:
-    """A mask (N,) of the `frames` of a log that are in the training split of an index with the settings `config`,
-    in which the log is called `session`. `frames` needs the columns row and log_time_ns.
+    """A mask (N,) of the `frames` of a log: True for the training split of an index with the settings `config`, in
+    which the log is called `session`. `frames` needs the columns row and log_time_ns.
 
     The split is computed again from the log. It does not depend on tags, cameras and --where: a frame that one of
     these left out of training is also marked.
@@ -162,8 +162,8 @@ def is_for_training(frames: pa.Table, log: Log, session: str, config: IndexConfi
 
 
 def in_crashes(frames: pa.Table, log: Log) -> NDArray[np.bool_]:
-    """A mask (N,) of the `frames` of a log whose row has a flag of `NOT_LEARNT`, for an index of an earlier
-    version, which lacks these flags. `frames` needs the columns row and log_time_ns. Raises LogError if the log is
+    """A mask (N,) of the `frames` of a log: True if the row has a flag of `NOT_LEARNT`. For indexes of earlier
+    versions, which lack these flags. `frames` needs the columns row and log_time_ns. Raises LogError if the log is
     damaged."""
     vehicle = log.vehicle()
     flags = row_flags(States.of(vehicle))

@@ -119,8 +119,8 @@ def build_index(
     a cluster (`common.ray_cluster`), with the same result.
 
     Raises LogError if a log cannot be read. Raises DatasetError if no frame can be used, if two logs have the same
-    name or share pictures (except of a standing start), if `config` names a session that is not in `logs`, or if a
-    file cannot be written. Also raises the errors of `check_settings`.
+    name or share pictures (except of a standing start), or if a file cannot be written. Also raises the errors of
+    `check_settings`.
     """
     index, config = Path(index), config or IndexConfig()
     by_name = dict(sorted(by_session_name(map(location, logs)).items()))
@@ -146,7 +146,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     """Check the settings of `build_index` before anything is read.
 
     Raises DatasetError if a session to hold out is not in `logs`, if the condition is wrong, or if the index is a
-    file, a link, a run or a folder of logs; UserError if DuckDB is missing.
+    file, a link, a run or a folder of logs. Raises UserError if DuckDB is missing.
     """
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):

@@ -22,8 +22,8 @@ from recorder.log.logs_in_folder import logs_in
 def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> list[Location]:
     """Find logs by session name (in `folder`), path or URL; without `sessions`, all of `folder`, readable or not.
 
-    Raises DatasetError if the folder has no logs, if a log of `sessions` does not exist or has a name that no
-    index can contain, or if two of them have the same name.
+    Raises DatasetError if the folder has no logs, or if a log of `sessions` does not exist, has a name that no
+    index can contain, or has the name of another one.
     """
     folder = location(folder)
     if not sessions:

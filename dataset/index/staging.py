@@ -1,15 +1,15 @@
 """Change an index atomically: new files are first written to a folder in the index, and then moved to their
 places.
 
-Several files cannot be renamed in one step. So the frames files to replace or remove are moved out first; then the
+Several files cannot be renamed in one step. So the frames files to replace or remove are moved out first. Then the
 new samples.parquet is moved in, then the new frames files. At every moment, the files in `frames` are of sessions
 in samples.parquet, and of the same logs.
 
     index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   new files
     index/new.XXXXXX.part/old/SESSION.parquet                                   files that were moved out
 
-The folder `old` shows that all new files are complete: after a crash, the next build completes the change if `old`
-exists, and removes the new files if not.
+The folder `old` shows that all new files are complete. After a crash, the next build completes the change if `old`
+exists; otherwise it removes the new files.
 """
 
 from __future__ import annotations

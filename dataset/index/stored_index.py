@@ -1,8 +1,8 @@
 """An index in a store: download it, build it on this machine, and upload it.
 
-Readers use samples.parquet. It is uploaded first, and only if the store still has the version that was downloaded:
-if two machines build at the same time, one succeeds and the other gets an error. The other files only save work
-for the next build, on any machine: if they are not uploaded, that build reads some logs again.
+Readers use samples.parquet. It is uploaded first, and only if the store still has the version that was downloaded.
+If two machines build at the same time, the second one gets an error. The other files only save work for the next
+build: if they are not uploaded, that build reads some logs again.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
     """Yield the local folder in which to build an index, and a function that uploads the finished index to its
     store (and does nothing for a local index).
 
-    Raises UsageError if the index is in a store and logs are on this machine, or in the index's folder;
-    DatasetError if another machine has changed the index; StoreError if the store fails.
+    Raises UsageError if the index is in a store and logs are on this machine, or in the index's folder. Raises
+    DatasetError if another machine has changed the index, StoreError if the store fails.
     """
     if isinstance(index, Path):
         yield index, lambda: None

@@ -1,7 +1,6 @@
 """Labels: the steering that a network learns for each frame, as recorded, smoothed, or a little later.
 
-People with keyboards steer in steps, and after the road has turned: the picture comes before the steering that it
-requires.
+People with keyboards steer in steps, and late: the picture comes before the steering that it requires.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ Times = NDArray[np.int64]
 
 
 def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray[np.bool_]]:
-    """The steering to learn for each frame of a session (N,), as from `labels_of`, and a mask (N,) of the frames
-    that are left out: crashes, driving backwards, manoeuvres, and a parked car.
+    """The steering to learn for each frame of a session (N,), as from `labels_of`, and a mask (N,) of left-out
+    frames: crashes, driving backwards, manoeuvres, and a parked car.
 
     No label depends on another driver's steering, on another split, or on frames that are unusable, tagged
     `exclude` or left out.

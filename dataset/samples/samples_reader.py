@@ -74,9 +74,8 @@ class IndexedLog(NamedTuple):
 class Samples(Closeable):
     """The samples of an index, and the logs with their pictures. Use it as a context manager, or call `close()`.
 
-    Raises DatasetError if the index is missing or damaged, or if a log has changed since it was indexed;
-    PlaceNotAllowedError if the user did not build the index on this machine, and it names logs outside its
-    project.
+    Raises DatasetError if the index is missing or damaged, or if a log has changed since it was indexed. Raises
+    PlaceNotAllowedError if an index that was built elsewhere names logs outside its project.
     """
 
     def __init__(self, index: Location | str) -> None:

@@ -17,8 +17,8 @@ def stopping_s(speed_mph: float) -> float:
 
     The deceleration is that of the built-in simulator's car at this speed, from brakes and resistance: 6.5 m/s² at
     10 mph. Udacity's car brakes with locked wheels, at least as hard. The time is too short rather than too long:
-    a car that still rolls slowly stops by itself, but a negative throttle reverses a standing car, and both
-    simulators repeat the last command for ever.
+    a car that still rolls slowly stops by itself. But both simulators repeat the last command for ever, and a
+    negative throttle reverses a standing car.
     """
     speed_mps = min(max(speed_mph * MPS_PER_MPH, 0.0), TOP_SPEED_MPS)
     return speed_mps / (BRAKE_MPS2 + resistance_mps2(speed_mps))
@@ -28,9 +28,9 @@ class EmergencyBrake:
     """Full brake from the first `throttle()` until the car must stand; then throttle 0 until `release()`.
 
     The car stands when its speed is about 0, or after the time that the brakes need from the last known speed. If
-    no speed is known, from the top speed; this reverses a standing car for two seconds. Udacity's speed has no
-    sign, so only a new lowest speed extends the brake: a car that gets no slower, or that has stopped once, may be
-    rolling backwards, and the brake would speed it up.
+    no speed is known, from the top speed; this reverses a standing car for two seconds. Only a new lowest speed
+    extends the brake. A car that gets no slower, or that has stopped once, may be rolling backwards (Udacity's
+    speed has no sign), and the brake would speed it up.
     """
 
     def __init__(self) -> None:

@@ -12,9 +12,8 @@ from recorder.server.world import World
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
-# Measured on three tracks with networks that fail for seconds at a time: no takeover was too late at 10 and 15
-# mph, one in thirteen at 20 mph. With the offset alone (0.7 of the half width), one in eight at 15 mph, half at 20
-# mph.
+# On three tracks, with networks that fail for seconds at a time, no takeover was too late at 10 and 15 mph, and
+# one in thirteen at 20 mph. With the offset alone (0.7 of the half width): one in eight at 15 mph, half at 20 mph.
 TAKE_OVER_OFFSET: Final = 0.9
 """The expert takes over if the car's middle will be farther from the centre line than this share of the half width
 after `TAKE_OVER_AHEAD_S`. At 1, the simulator puts the car back."""

@@ -116,8 +116,8 @@ def _sums_of_stretches(drive: DriveResult) -> Floats:
 
 
 def _course(path: Location, track: Track) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """The car's course along the road, one entry for each pose of the log: log time in ns, arc length in m, and
-    the distance from the centre line as a share of the road's half width."""
+    """For each pose of the log: log time in ns, arc length along the road in m, and the distance from the centre
+    line as a share of the road's half width."""
     with Log(path) as log:
         poses = [(message.log_time_ns, pose.pose) for message, pose in log.decoded(POSE)]
     near_m = 0.0  # every drive begins at arc length 0

@@ -24,8 +24,8 @@ from model.evaluation.predict import BATCH, predict_crops
 from model.runs.run_folder import picture_of_run, run_name, weights_checksum
 
 LogAttentionCallback = Callable[[str, NDArray[np.int64], Image, NDArray[np.float32]], object]
-"""Called for some pictures at a time: the run's name, the log times (N,) in ns, the crops (N, height, width, 3)
-BGR, and the attention maps (N, height, width), 0..1 (see visual_backprop.py)."""
+"""Receives, for N pictures at a time: the run's name, log times (N,) in ns, crops (N, height, width, 3) BGR, and
+attention maps (N, height, width), 0..1 (see visual_backprop.py)."""
 
 
 def run_names(runs: Sequence[Path]) -> list[str]:

@@ -84,9 +84,9 @@ class NetworkChoice:
     def try_out(self, picture: PictureSpec, device: torch.device) -> int:
         """Build a network and let it answer pictures. Returns the number of its parameters.
 
-        Raises RunError for a network that cannot be trained: its answers are not one number for each picture and
-        target, or not finite, or a run cannot store its weights. PyTorch's meta device is not used: its first
-        answer takes a second of imports; a real answer of the original network takes a twentieth of that.
+        Raises RunError if the answers are not one finite number for each picture and target, or if a run cannot
+        store the weights. PyTorch's meta device is not used: its first answer takes a second of imports, a real
+        answer of the original network a twentieth of that.
         """
         with torch.random.fork_rng(devices=[]):
             network = self.build()

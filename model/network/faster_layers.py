@@ -125,11 +125,11 @@ class OneDnnLayers(nn.Sequential):
     """An `nn.Sequential` of `nn.Conv2d` with zero padding, `nn.MaxPool2d` and `nn.ReLU`. In training it uses
     oneDNN's tensors where that is faster, and then does not call hooks of the convolutions.
 
-    With AMX, convolutions are fast, and PyTorch's max pooling took nearly half of a step: it keeps an int64 for
-    each maximum, and clears the whole gradient before it fills in a quarter. oneDNN keeps a byte, and writes the
-    gradient once. PyTorch uses oneDNN's pooling only for tensors of oneDNN's own type and layout. With AMX, this
-    is also the layout of PyTorch's convolutions, and all results are equal to the last bit. Without AMX, the
-    layout differs and convolutions were slower, so it is not used; nor in float32.
+    With AMX, convolutions are fast, and PyTorch's max pooling took nearly half of a step. For each maximum,
+    PyTorch keeps an int64, oneDNN a byte. PyTorch clears the whole gradient before it fills in a quarter; oneDNN
+    writes the gradient once. PyTorch uses oneDNN's pooling only for tensors of oneDNN's own type and layout. With
+    AMX, this is also the layout of PyTorch's convolutions, and all results are equal to the last bit. Without AMX,
+    and in float32, oneDNN's tensors are not used: there the layout differs, and convolutions were slower.
     """
 
     def forward(self, inputs: Tensor) -> Tensor:

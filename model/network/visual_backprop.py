@@ -1,9 +1,9 @@
 """Attention maps of a network by VisualBackProp, after Bojarski et al. 2016 (arXiv 1611.05418).
 
-The output of each convolution layer after its ReLU is averaged over its channels. Then, from the last layer to the
-first, a deconvolution with the layer's kernel size and stride, and with all weights one, brings the map to the
-size of the layer before, and the map is multiplied by that layer's average. The first layer's deconvolution brings
-the map to the size of the picture.
+The output of each convolution layer after its ReLU is averaged over its channels. From the last layer to the
+first, a deconvolution with the layer's kernel size and stride, and with all weights one, enlarges the map to the
+size of the layer before. The map is then multiplied by that layer's average. The first layer's deconvolution
+enlarges the map to the size of the picture.
 
 The paper's network has strides, the toolkit's original network has pooling. Pooling is undone before its
 convolution, as a deconvolution with ones of its kernel size and stride: a value goes to every pixel of its window.

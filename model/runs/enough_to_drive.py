@@ -2,8 +2,8 @@
 
 82 networks predicted recordings that none of them had learnt from. Then each drove a quarter lap at 15 mph on
 lake, mountain and five random roads. A network stayed on the road if it needed no intervention on any of the
-roads. All roads are built in, the networks are alike (few recipes and seeds), and the edges were chosen with the
-same networks: on other roads, the result is less certain than an interval says.
+roads. On other roads, the result is less certain than an interval says: all roads are built in, the networks are
+alike (few recipes and seeds), and the edges were chosen with the same networks.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ STUDY: Final[dict[Hand, tuple[Band, Band, Band]]] = {
 
 
 RECORDINGS: Final = 5
-"""The errors in `STUDY` are of so many recordings together. On one recording, they vary too much for the edges."""
+"""The errors in `STUDY` are of this many recordings together. On one recording, they vary too much for the
+edges."""
 
 ON_ONE: Final[dict[Hand, tuple[float, float]]] = {"keys": (0.83, 1.43), "smooth": (0.5, 0.86)}
 """The smallest error on a single recording of a network that left the road, and the largest of one that stayed (16

@@ -24,8 +24,8 @@ def new_run_name() -> str:
 
 
 def run_argument(run: Path) -> str:
-    """A run as an argument of a command, quoted for a shell: its name if it is in `RUNS`, its URL if it is a copy
-    of a run in a store, else its path."""
+    """A run as an argument of a command, quoted for a shell: the name of a run in `RUNS`, the URL of a copy from a
+    store, else the path."""
     return shlex.quote(run.name if run.parent == RUNS else cached_from(run) or str(run))
 
 

@@ -43,11 +43,10 @@ def index_of(run: Path) -> Location | None:
 
 
 def allowed_index_of(run: Path) -> Location | None:
-    """The index that a run was trained on, if the run may name its place, or None if the config does not record
-    it.
+    """The index that a run was trained on; None if the config does not record it.
 
-    A run from elsewhere may name any place. For a place that it may not name: None if no index exists at that
-    place, else raises RunError.
+    The config of a run from elsewhere could name any place. Raises RunError if the run may not name this place; if
+    nothing exists there, returns None.
     """
     index = index_of(run)
     if index is None or index in _allowed(run):
@@ -86,8 +85,8 @@ def log_to_open(run: Path, session: str, log: Location) -> Location:
 
 
 def sessions_of(run: Path) -> Location | None:
-    """The folder with all logs of a run's index; None if they are in several folders, if the run may not name the
-    folder, or if it is on this machine and does not exist any more."""
+    """The folder with all logs of a run's index. None if the logs are in several folders, if the run may not name
+    the folder, or if a folder of this machine does not exist any more."""
     folders: set[Location] = {log.parent for log in logs_of(run).values()}
     if len(folders) != 1:
         return None

@@ -16,8 +16,8 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from model.network.picture_network import PictureNetwork
 
 _FIRST_STEPS: Final = 10
-"""At first the mean is over fewer steps, so that the random initial weights are soon forgotten: after N steps,
-over 1 + N / 10 of them."""
+"""After N steps, the mean is over at most 1 + N / 10 of them, so that the random initial weights are soon
+forgotten."""
 
 
 class AveragedWeights:

@@ -1,9 +1,9 @@
 """Batches on the device that trains.
 
 On a CPU, batches come directly from the loader. On a GPU, all crops are kept in its memory if they fit into half
-of the free memory: then each picture, the slowest part, is decoded only once. If they do not fit, each batch is
-copied while the one before is learnt. All three give the same samples in the same order, so a GPU learns the same
-as a CPU.
+of the free memory. Each picture is then decoded only once, which is the slowest part. If they do not fit, each
+batch is copied while the one before is learnt. All three give the same samples in the same order, so a GPU learns
+the same as a CPU.
 """
 
 from __future__ import annotations

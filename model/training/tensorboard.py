@@ -26,9 +26,9 @@ FOLDER: Final = "tensorboard"
 class TensorBoard:
     """A `Listener` that writes RUN/tensorboard. Its steps are the samples learnt since the run began.
 
-    With the first event, it writes the run's whole history, which hides all earlier points of this run: no point
-    is shown twice, and none is missing after a kill. It does not use TensorBoard's writer or torch's
-    SummaryWriter: they write on a thread, which prints its traceback when the disk is full.
+    With the first event, it writes the run's whole history, which hides all earlier points of this run. So no
+    point is shown twice, and none is missing after a kill. TensorBoard's writer and torch's SummaryWriter are not
+    used: they write on a thread, which prints its traceback when the disk is full.
     """
 
     def __init__(self, run: Path) -> None:

@@ -1,5 +1,5 @@
-"""The known lag of a log's steering: noted by the log's writer, or measured later and kept next to the log in
-NAME.lag.json, for one content of the log."""
+"""The known lag of a log's steering. The log's writer notes the lag in the log; if it is measured later, it is
+kept next to the log in NAME.lag.json, for one content of the log."""
 
 from __future__ import annotations
 

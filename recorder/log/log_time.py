@@ -42,7 +42,7 @@ class StandingClock:
 class LogClock:
     """Gives every row and every event its time.
 
-    A row's time is the simulated clock's, counted from the arrival of the first telemetry. Without such a clock,
+    A row's time is the simulated clock's, counted from the arrival of the first telemetry. Without this clock,
     or if it stands, it is the telemetry's time of arrival. If the clock changes or starts again, the rows before
     and after are `BREAK_NS` apart.
 

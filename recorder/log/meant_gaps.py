@@ -1,5 +1,5 @@
-"""Time that a log leaves out on purpose, in contrast to lost rows: a car is pushed off its line, a person pauses,
-or a human drives and the simulator sends nothing.
+"""Time that a log leaves out on purpose: a car is pushed off its line, a person pauses, or a human drives and the
+simulator sends nothing.
 
 The row after the gap has its seconds (`VehicleState.not_recorded_s`), and an event has the reason. Logs of version
 0.3 and earlier only have the events.

@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a 
 _PLACE: Final = ("offset", "length", "chunk")
 _ROWS_AT_ONCE: Final = 4096
 _PART: Final = 1 << 23
-_NEAR_BYTES: Final = 4096  # reading and checking so many bytes takes as long as reading one message alone
+_NEAR_BYTES: Final = 4096  # reading and checking them takes as long as reading one message alone
 
 Contents = tuple[bytes, NDArray[np.int64], NDArray[np.int64]]
 """Bytes, and the positions in them where each message starts and ends."""

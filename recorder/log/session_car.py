@@ -111,8 +111,8 @@ def is_angle_unknown(session: Mapping[str, str]) -> bool:
 
 
 def foreign_source(log: Log) -> str:
-    """The source of a log of other people's data, such as a tub, also if it is merged of such logs; empty for
-    other logs."""
+    """The source of a log of other people's data, such as a tub, or of a log merged from these; empty for other
+    logs."""
     sources = {session.get("log_source", session.get("source", "")) for session in _sessions(log)}
     source = sources.pop() if len(sources) == 1 else ""
     return source if source in _OF_UNKNOWN_CARS else ""

@@ -109,8 +109,8 @@ class PlacesWritten:
 
 
 def places_in(record: bytes, number: int, channels: set[int]) -> bytes:
-    """The PLACE of each picture in a sound chunk. `record`: the chunk's; `number`: of the chunk in the file;
-    `channels`: of pictures."""
+    """The PLACE of each picture in a sound chunk, from the chunk's `record`. `number` is the chunk's in the file;
+    `channels` are those of pictures."""
     places, position, end = bytearray(), RECORDS_AT, len(record) if channels else 0
     while position < end:
         opcode, length = RECORD.unpack_from(record, position)

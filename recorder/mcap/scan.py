@@ -301,7 +301,7 @@ def _is_index(file: McapFile, start: int, end: int) -> bool:
 
 
 def search_budget(file: McapFile) -> int:
-    """The most bytes that a search for whole records may read or unpack in vain."""
+    """The most bytes that a search for whole records may read or unpack without finding any."""
     return _MAX_WASTE * file.size + _MIN_BUDGET
 
 

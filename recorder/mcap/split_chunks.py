@@ -16,8 +16,8 @@ from recorder.mcap.picture_places import PLACES_AT_ONCE, Pictures, PlacesWritten
 
 CHUNK_BYTES: Final = 256 * 1024
 ROWS_CHUNK_BYTES: Final = 32 * 1024
-"""The size of chunks without pictures, some 500 rows. A wrong bit, or a copy that is cut off, costs no more rows,
-and there is still only one of these chunks for a hundred with pictures."""
+"""The size of chunks without pictures, some 500 rows: a wrong bit, or a copy that is cut off, costs no more rows.
+There is still only one of these chunks for a hundred with pictures."""
 _CHUNK: Final = bytes([Opcode.CHUNK])  # the first byte of its record
 
 

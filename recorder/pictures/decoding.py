@@ -44,7 +44,7 @@ def is_whole_picture(picture: bytes) -> bool:
 
 
 def scaled_to_width(picture: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8] | None:
-    """A picture (height, width) of at least one row, scaled to a width; None if the result has fewer than
+    """A picture (height, width) of at least one row, scaled to a width. None if the result has fewer than
     `MIN_ROWS` rows, or is more than `MAX_HEIGHT` times as high as wide."""
     import cv2
 

@@ -16,7 +16,7 @@ from common.stretches import stretches
 from recorder.pictures.decoding import decodes
 
 FROZEN_PICTURES: Final = 3
-"""So many equal pictures in a row from a moving car mean a frozen camera. A slow camera may repeat a picture
+"""This many equal pictures in a row from a moving car mean a frozen camera. A slow camera may repeat a picture
 once."""
 
 _PICTURES_A_JOB: Final = 32  # jobs of one picture would take a tenth longer

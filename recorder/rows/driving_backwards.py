@@ -21,7 +21,7 @@ SIGNED_MPH: Final = -0.5
 SURELY_MPH: Final = -1.0
 """A session with a lower speed than this records signs. Every stretch backwards reaches it, noise does not."""
 TURN_MPH: Final = 2.0
-"""A car that changes its direction has a slower row than this: at 5 rows a second, the simulator's engine changes
+"""A car that changes its direction has a row slower than this. At 5 rows a second, the simulator's engine changes
 the speed by 2.4 mph from row to row."""
 PEDAL: Final = 0.05
 FIRM_BRAKE: Final = 0.3  # the built-in mountain, 12 % steep, speeds up a car that brakes by 0.2

@@ -21,8 +21,8 @@ driver by 28 % (RMSE, compared with steering as recorded)."""
 RESPONSE_S: Final = 0.1
 """The time from the steering to the turn of the car, in all four measured recordings of the simulator."""
 IN_TIME_S: Final = (-0.45, 0.1)
-"""Lags that a car explains: it does not turn before it is steered (0.1 s are rows and rounding), and wheels follow
-a command within 0.4 s."""
+"""Lags that a car explains. A car does not turn before it is steered (0.1 s are rows and rounding), and wheels
+follow a command within 0.4 s."""
 MAX_LATE_S: Final = 0.5
 """No recorder is later. A lag above this, or below `IN_TIME_S`, is a measuring error, and labels ignore it."""
 MIN_HZ: Final = 4.0  # at fewer rows a second, half a second has nothing to smooth

@@ -1,6 +1,6 @@
 """Stretches of a session in which the pictures turn one way, and the steering the other.
 
-The labels there are wrong: of another drive, mirrored, or delayed. On straight roads, such errors stay hidden. No
+The labels there are wrong: of another drive, mirrored, or delayed. On straight roads, these errors stay hidden. No
 network is needed.
 
 Thresholds were set on four recordings of people (5,667 rows): they find none of these rows, and find mirrored

@@ -16,8 +16,8 @@ MAX_TICK_S: Final = 0.2  # the most that one tick adds: twice the regular time b
 MIN_HOLD_S: Final = 0.1
 MAX_HOLD_S: Final = 1.0
 FIRST_HOLD_S: Final = 0.5  # the holding time until intervals are measured
-INTERVALS: Final = 8  # a telemetry is held for twice the longest of so many last intervals
-MAX_HOLDS: Final = 2  # after so many holds in vain, nothing else is in flight
+INTERVALS: Final = 8  # a telemetry is held for twice the longest of the last intervals
+MAX_HOLDS: Final = 2  # after this many holds without another telemetry, nothing else is in flight
 RETRY_S: Final = 1.0  # between two holds
 RECENT: Final = 250  # telemetries that determine the number in flight
 T = TypeVar("T")
@@ -49,7 +49,7 @@ class InFlight(Generic[T]):
         self.owed = 0  # commands that answered no telemetry; each may keep one more in flight
         self._held: T | None = None
         self._held_s = 0.0
-        self._holds = 0  # in vain, since the last command that answered no telemetry
+        self._holds = 0  # without another telemetry, since the last command that answered none
         self._hold_from_s = 0.0
         self._last_s: float | None = None
         self._intervals: deque[float] = deque(maxlen=INTERVALS)

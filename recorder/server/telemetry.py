@@ -36,7 +36,7 @@ _OTHER_PICTURES: Final = {b"GIF8": "GIF", b"RIFF": "WebP", b"BM": "BMP", b"II*":
 
 
 class TelemetryError(ValueError):
-    """An unusable telemetry. It is answered all the same.
+    """An unusable telemetry, which is answered nevertheless.
 
     Its text is the reason with the client's values; `kind` is the reason without values, for counting.
     """

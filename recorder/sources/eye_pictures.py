@@ -22,7 +22,7 @@ MAX_STEPS_BEHIND: Final = 4  # steps without a new picture, before the clock wai
 SCALES: Final = (1.0, 1.5, 2.0)  # sizes relative to recorded pictures: 320x160, 480x240, 640x320
 _FULL_SHARE: Final = 0.9  # share of the time between two pictures; slower rendering needs a smaller size
 _ROOM_SHARE: Final = 0.5  # a larger size is tried if its rendering would take a smaller share
-_TRIAL: Final = 10  # at the smallest size, one of so many pictures is rendered to measure the time
+_TRIAL: Final = 10  # at the smallest size, every tenth picture is rendered anew to measure the time
 _MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before a smaller, or a larger, one is tried
 
 

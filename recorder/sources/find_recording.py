@@ -24,8 +24,8 @@ def is_udacity(folder: Path) -> bool:
 
 
 def kind_of(source: Path) -> Kind:
-    """The kind that `source` looks like: a log (an MCAP file, finished or not, or a ROS 2 bag), a LeRobot dataset,
-    a DonkeyCar tub, or a recording of Udacity's simulator; empty for anything else."""
+    """The kind that `source` looks like; empty for anything else. A log is an MCAP file, finished or not, or a ROS
+    2 bag."""
     is_folder = os.path.isdir(source)  # noqa: PTH112  (never raises)
     if is_bag(source) or (not is_folder and {MCAP, SQLITE} & set(source.suffixes)):
         return "log"

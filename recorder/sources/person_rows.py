@@ -29,7 +29,7 @@ class PersonRows:
     """Renders rows and writes them to a log in order. As a context manager, it writes all before its end."""
 
     def __init__(self, simulation: Simulation, writer: LogWriter, let_pass: Callable[[float], object]) -> None:
-        """`let_pass` waits until nothing more urgent is rendered, at most so many seconds."""
+        """`let_pass` waits until nothing more urgent is rendered, at most the given seconds."""
         self._let_pass = let_pass
         self._simulation = simulation
         self._writer = writer

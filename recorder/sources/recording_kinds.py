@@ -27,12 +27,11 @@ def import_recording(
     car: Car | None = None,
     overwrite: bool = False,
 ) -> Imported:
-    """Import `source` to `log`: a Udacity recording, a DonkeyCar tub, another program's MCAP log or a ROS 2 bag
-    (both with `topics`), a LeRobot dataset (`topics` are optional), or pictures with a csv (`columns` as for
-    `import_csv`).
+    """Import a recording of any kind, `source`, to `log`.
 
-    `rate_hz`: as for `import_tub`. `car`: the recorded car. Raises RecordingError if `source` is none of them or
-    nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    `topics`: for another program's MCAP log or a ROS 2 bag; optional for a LeRobot dataset. `columns`: for
+    pictures with a csv, as for `import_csv`. `rate_hz`: as for `import_tub`. `car`: the recorded car. Raises
+    RecordingError if nothing in `source` can be used, and UserError if `log` exists and `overwrite` is off.
     """
     refuse_existing(log, overwrite)  # before minutes of reading
     topics = topics or Topics()

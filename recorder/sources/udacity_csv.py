@@ -2,9 +2,9 @@
 
     IMG/center_2024_07_13_14_30_16_000.jpg,IMG/left_....jpg,IMG/right_....jpg,steering,throttle,brake,speed
 
-Published recordings have many oddities, which are all accepted: mixed separators, a spreadsheet's semicolons or
-tabs, foreign paths, a header, scientific notation, decimal commas, a last row that is cut off. Simulators with
-one camera leave the other two paths empty. A row without four numbers after its pictures is skipped.
+The oddities of published recordings are accepted: mixed separators, a spreadsheet's semicolons or tabs, foreign
+paths, a header, scientific notation, decimal commas, a last row that is cut off. Simulators with one camera leave
+the other two paths empty. A row without four numbers after its pictures is skipped.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # PowerShell's `>` writes UTF-1
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
-# .NET writes numbers as in its user's country. Besides the comma, there are 0/5 (Persian in Mono and .NET
-# Framework) and, with ICU, U+066B for the point, U+2212 for the minus, and marks of the direction of writing.
+# .NET writes numbers as in its user's country. Apart from decimal commas, there are "0/5" (Persian in Mono and
+# .NET Framework) and ICU's signs: U+066B for the point, U+2212 for the minus, and marks of the direction of
+# writing.
 _LOCALIZED = str.maketrans({"/": ".", "\u066b": ".", "\u2212": "-", "\u200e": "", "\u200f": "", "\u061c": ""})
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _TRAILING_MINUS = re.compile(r"([0-9.]+)-")  # 0.5-: Arabic and Persian, with a fixed number of decimals
@@ -68,7 +69,7 @@ class Row:
 class RowReader:
     """Reads rows from a csv's lines, given in order. Unusable lines go to `skipped`.
 
-    With `rate_hz`, there are so many rows a second, from 1970 on, independent of the pictures' names.
+    `rate_hz`: rows a second, from 1970 on, instead of the times in the pictures' names.
     """
 
     def __init__(self, skipped: Skipped, rate_hz: float | None = None) -> None:
@@ -165,8 +166,8 @@ class _ValueReader:
         if not readings:
             raise ValueError("values that are not four numbers")
         self._has_commas |= len(cells) > 5
-        # Of several readings: a speed is hardly ever a whole number, it does not jump from row to row, and a brake
-        # is nearly always 0 or 1.
+        # The most plausible reading: a speed is hardly ever a whole number, and does not jump from row to row. A
+        # brake is nearly always 0 or 1.
         return min(readings, key=lambda r: (r[3].is_integer(), abs(r[3] - self._speed_mph), not r[2].is_integer()))
 
 

@@ -136,8 +136,8 @@ def _refuse_different_steering(logs: Sequence[Log]) -> None:
 def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]:
     """Write each drive of the log at `path` to a log of its own in `folder`: NAME-1.mcap, NAME-2.mcap ...
 
-    A new drive begins after a gap of more than a second, or where time goes back. A message without a row goes to
-    the drive of the vehicle state before it in the file; a picture without a row, to the drive of the picture
+    A new drive begins after a gap of more than a second, or where time goes back. A picture without a row goes to
+    the drive of the picture before it in the file, another message without a row to that of the vehicle state
     before it. All logs are written or none. Raises LogError if there is only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:

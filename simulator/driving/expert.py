@@ -22,9 +22,8 @@ from simulator.driving.vehicle import (
 from simulator.driving.wandering import Wandering
 from simulator.roads.centreline import Centreline, Floats
 
-# The distance to the goal point. A shorter distance would follow hairpins more exactly (this one cuts them by 0.15
-# of the half width), but would correct an offset with jerks, and a network that imitates these with a delay would
-# weave.
+# The distance to the goal point. A shorter distance would follow hairpins more exactly: this one cuts them by 0.15
+# of the half width. But it would correct an offset with jerks. A network that imitates these with a delay weaves.
 LOOK_AHEAD_M = 4.0
 LOOK_AHEAD_S = 0.6
 

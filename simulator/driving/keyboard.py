@@ -1,10 +1,10 @@
 """A driver like a person at a keyboard, who steers late, with key presses, and only after a sufficient error.
 
 The driver wants the steering of the expert, but can only hold the left key, the right key, or none. The steering
-follows a held key as in Unity; times and lengths of the presses are fitted to recordings of people
-(docs/studies/drivers.md). In real cars, too, people steer in separate acts, each decided after an error has grown
-and then executed as planned: Markkula, Boer, Romano and Merat 2018, "Sustained sensorimotor control as
-intermittent decisions about prediction errors", Biological Cybernetics 112.
+follows a held key as in Unity. Times and lengths of the presses are fitted to recordings of people
+(docs/studies/drivers.md). In real cars, too, people steer in separate acts. Each is decided after an error has
+grown, and then executed as planned (Markkula, Boer, Romano and Merat 2018, "Sustained sensorimotor control as
+intermittent decisions about prediction errors", Biological Cybernetics 112).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from simulator.driving.person import Act, Person
 # (github.com/udacity/self-driving-car-sim). At 9 rows a second, a press gives "0 4 13 22 25 25 16 9 0" degrees.
 AXIS_PER_S = 3.0  # full locks per second, while a key is held; and back, after its release
 
-# The steering of a press, summed over time, equals the wanted steering over the planned time, which is longer for
-# more steering. The length of the press is random around this value.
+# The steering of a press, summed over time, equals the wanted steering over the planned time. This time is longer
+# for more steering. The length of the press is random around this value.
 _PLANNED_S = 0.3
 _PLANNED_MORE = 2.0  # times the wanted steering
 _LENGTH_SPREAD = 0.4  # standard deviation of the logarithm

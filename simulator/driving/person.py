@@ -112,8 +112,8 @@ class Person(ABC):
         return REACTION_S * self._random.uniform(1.0 - _REACTION_SPREAD, 1.0 + _REACTION_SPREAD)
 
     def _let_go_s(self, planned_s: float, now_s: float, still_wanted: float) -> float:
-        """The time to let go: earlier than planned if the car has turned too far (the wanted steering is now to
-        the other side, below 0), later if it has not turned enough."""
+        """The time to let go. It is earlier than planned if the car has turned too far: then the wanted steering
+        is to the other side, below 0. It is later if the car has not turned enough."""
         soon_s = now_s + REACTION_S
         if still_wanted < 0.0:
             return min(planned_s, soon_s)

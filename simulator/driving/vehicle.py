@@ -1,8 +1,8 @@
 """The car: a bicycle model at 50 Hz that depends on the speed.
 
-The wheels turn with a lag and a limited rate, the yaw rate follows the wheels with another lag, and the grip
-limits the lateral acceleration: a bend that is easy at 10 mph is difficult at 30 mph. Engine and drag are those of
-the Udacity simulator, measured in published recordings; the tyres are those of an ordinary car.
+The wheels turn with a lag and a limited rate. The yaw rate follows the wheels with another lag. The grip limits
+the lateral acceleration, so a bend that is easy at 10 mph is difficult at 30 mph. Engine and drag are those of the
+Udacity simulator, measured in published recordings. The tyres are those of an ordinary car.
 """
 
 from __future__ import annotations

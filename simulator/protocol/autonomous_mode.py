@@ -2,8 +2,7 @@
 
 Simulated time stops until an answer comes, so that a drive depends only on the answers, and not on the speed of
 the machine. As with Udacity's simulator, two telemetries are in flight: a command is for the picture one step
-before. This also holds for the expert, whose command is sent with the picture: after a takeover, one more command
-of the network comes before the expert's first.
+before. So after a takeover by the expert, one more command of the network comes before the expert's first.
 """
 
 from __future__ import annotations

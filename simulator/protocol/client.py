@@ -1,9 +1,12 @@
 """The simulator's side of the Socket.IO protocol, byte for byte as in Udacity's Unity program.
 
-From the code of the Unity client: it connects by websocket, announces no Socket.IO connection (no `40`), treats
-the server's `0{...}` as a second "open", sends every message in websocket frames of at most 1016 bytes with
-Nagle's algorithm on, formats numbers as strings with four decimals, and answers each `steer` or `manual` with
-exactly one telemetry. After a command that it cannot read, it sends no telemetry.
+From the code of the Unity client:
+
+- It connects by websocket, and announces no Socket.IO connection (no `40`).
+- It treats the server's `0{...}` as a second "open".
+- It sends messages in websocket frames of at most 1016 bytes, with Nagle's algorithm on.
+- It formats numbers as strings with four decimals.
+- It answers each `steer` or `manual` with exactly one telemetry; a command that it cannot read, with none.
 """
 
 from __future__ import annotations

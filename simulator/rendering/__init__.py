@@ -1,1 +1,1 @@
-"""The cameras' pictures: the land, the road's surface, the props beside the road, the sky."""
+"""The cameras' pictures: the land, the road's surface, the props next to the road, the sky."""

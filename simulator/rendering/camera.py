@@ -2,7 +2,7 @@
 
 For each pixel, the ray caster computes the distance to the ground; the world's maps have the colour of this place.
 Near the road the colour is from the unrolled road texture, elsewhere from the land's. Then grain or cobbles, haze,
-the props beside the road, and the bonnet are drawn over it.
+the props next to the road, and the bonnet are drawn over it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The props beside the road: trees, bushes, boulders and posts. Each is a flat picture that faces the camera."""
+"""The props next to the road: trees, bushes, boulders and posts. Each is a flat picture that faces the camera."""
 
 from __future__ import annotations
 

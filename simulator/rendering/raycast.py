@@ -54,7 +54,7 @@ class RayCaster:
     def inverse_distance(self, eye: Eye, side: tuple[float, float], up: tuple[float, float]) -> Field:
         """1 / distance ahead (1/m) to the ground, (ROWS, COLUMNS) float32; 0 for the sky.
 
-        Column and row are the point at which the line of sight crosses a vertical plane one metre ahead: columns
+        Column and row are the point at which the line of sight crosses a vertical plane one metre ahead. Columns
         are from ``side[0]`` to ``side[1]`` metres to the left, rows from ``up[0]`` to ``up[1]`` metres up.
         """
         levels = self._slopes(eye, np.linspace(*side, COLUMNS, dtype=np.float32)[None, :])

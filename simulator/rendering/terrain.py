@@ -15,7 +15,7 @@ from simulator.roads.track import Track
 
 CELL_M = 0.4
 MARGIN_M = 90.0  # of land around the road's bounding box
-VERGE_M = 1.3  # width of the ground beside the road that has the height of the road
+VERGE_M = 1.3  # width of the ground next to the road that has the height of the road
 PARAPET_M = (0.3, 1.5, 0.8)  # a bridge wall: from, to (beyond the road's edge), height
 PARAPET_FACE_M = 0.5  # width of the wall's slanted faces: more than a cell, or the wall's foot would be ragged
 WATER_BELOW_ROAD_M = 0.9  # below the lowest point of the road
@@ -118,7 +118,7 @@ def _hills(track: Track, random: np.random.Generator, nearest: NDArray[np.int32]
 def _banks(
     track: Track, random: np.random.Generator, nearest: NDArray[np.int32], offset: Field, beyond: Field
 ) -> Field:
-    """The height of cuttings, rock walls, shores, drops and parapets beside the road."""
+    """The height of cuttings, rock walls, shores, drops and parapets next to the road."""
     bank = per_side(track, nearest, offset, lambda edge: edge.bank_m)
     wall = per_side(track, nearest, offset, lambda edge: float(edge.kind == "wall"), 1.0)
     foot_m: Field = np.where(np.abs(bank) > 1.5, 2.6, 6.0).astype(np.float32)

@@ -1,8 +1,7 @@
 """The two built-in roads.
 
-In both roads, the first and the second half have the same kinds of bends and slopes, but not the same bends and
-slopes, and some looks appear only in the second half: a network trained on the first half has to generalise to
-drive the lap.
+Both halves of a road have the same kinds of bends and slopes, but other bends and slopes. Some looks appear only
+in the second half. So a network trained on the first half has to generalise to drive the lap.
 """
 
 from __future__ import annotations

@@ -28,8 +28,8 @@ NEIGHBOURS_M = 60.0
 def hairpin_road(seed: int) -> tuple[Floats, tuple[Look, ...], NDArray[np.intp]]:
     """The points (N, 3) of a closed road in metres, its looks, and the number of each point's look (N,).
 
-    A road that cannot be closed, comes too near to itself, is too short or too long is drawn again, with the same
-    random generator: about one in fourteen is used.
+    If a road cannot be closed, comes too near to itself, or is too short or too long, another one is drawn with
+    the same random generator. About one in fourteen is used.
     """
     random = np.random.default_rng(seed)
     while True:

@@ -24,7 +24,7 @@ class Track:
     """A closed road and its looks.
 
     ``half_width_m``, (N,) float64, is the distance from the centre line to the road's edges at each of the N
-    points of ``line``; a car is off the road if its middle is farther away. ``look_index``, (N,), is the position
+    points of ``line``. A car is off the road if its middle is farther away. ``look_index``, (N,), is the position
     of each point's look in ``looks``.
     """
 

@@ -72,8 +72,8 @@ def _draw(predictions: LogPredictions, recording: rr.RecordingStream, drawing: D
 
 
 def overlay(crops: Image, maps: NDArray[np.float32]) -> Image:
-    """Draw maps (N, height, width), 0..1, over crops (N, height, width, 3) BGR: the crop is dimmed, and covered
-    with more of a colour the higher the map."""
+    """Draw maps (N, height, width), 0..1, over dimmed crops (N, height, width, 3) BGR. Where the map is higher, a
+    colour covers more of the crop."""
     share = _MAX_COVER * maps[..., None]
     blended = crops * (_DIMMED * (1 - share)) + _COLOR * share
     return blended.astype(np.uint8)

@@ -109,9 +109,9 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
 
 
 def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list[str], str]:
-    """The command that trains a network, and the name of the new run. It trains on a session; or, for a drive, it
-    trains the run that drove further, on the takeovers. Raises WebError if that run no longer exists, and for a
-    session whose name looks like a flag."""
+    """The command that trains a network, and the name of the new run. A session trains a new network. The
+    takeovers of a drive train the run that drove. Raises WebError if that run no longer exists, or if a session's
+    name looks like a flag."""
     runs = folders.run_folders()
     name = final_name(log.name).removesuffix(".mcap")
     if place == "drives":
@@ -135,7 +135,7 @@ TAKEOVERS_RECIPE: Final[Recipe] = "people"
 
 
 def quick_epochs(rows: int) -> int:
-    """The epochs in which a network learns to drive from so many rows: two minutes for half a lap on fast cores.
+    """The epochs in which a network learns to drive from so many rows. Half a lap takes two minutes on fast cores.
 
     Half a lap of both tracks gets six: after three, two of three networks needed help (docs/at-the-wheel.md).
     """

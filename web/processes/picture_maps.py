@@ -16,9 +16,9 @@ from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork, run_fingerprint
 
 COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
-"""For each picture, as float32: its place, the number of its log, its row, driven and predicted steering (NaN:
-none), the distances to the most similar picture and to its neighbours (their medians are 1), its group, and the
-number of the kind of odd row (-1: none)."""
+"""Float32 columns of the pictures. `x`, `y`: its place. `log`: the number of its log. `predicted`: NaN without
+one. `nearest`, `alone`: distances to the most similar picture and to its neighbours (medians: 1). `odd`: the
+number of the kind of odd row, or -1."""
 MAX_POINTS: Final = 10_000
 _FORMAT: Final = 1
 
@@ -26,7 +26,7 @@ _FORMAT: Final = 1
 class MapAbout(msgspec.Struct, frozen=True):
     """The description of a map."""
 
-    step: int  # one of so many pictures is shown
+    step: int  # every `step`-th picture is shown
     odd: list[str]  # the kinds of odd rows; the column `odd` has their numbers
     groups: list[int]  # the picture in the middle of each group
     max_deg: float | None  # the wheels' angle at steering 1; None: unknown, or logs have different angles

@@ -35,7 +35,7 @@ def _minutes(seconds: float) -> str:
 
 
 def _places(number: float | str | None, places: int) -> str:
-    """A number with so many decimal places; "-" for None. A text that is no number stays."""
+    """A number with `places` decimal places; "-" for None. A text that is no number stays."""
     if number is None:
         return "-"
     try:

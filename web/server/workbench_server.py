@@ -30,8 +30,9 @@ class WorkbenchServer:
         except ListenError as error:
             reason = str(error).partition("; end the bc-drive")[0]
             raise UserError(f"{reason}; give another --port, or end the bc-web that is running there") from None
-        # without this, each answer waits 40 ms for a delayed acknowledgement: its head and body are two writes.
-        # asyncio sets it only for sockets made with the protocol's number. Connections inherit it.
+        # Head and body of an answer are two writes: without this, each answer waits 40 ms for a delayed
+        # acknowledgement. asyncio sets it only for sockets made with the protocol's number. Connections inherit
+        # it.
         send_at_once(self._socket)
         self.port: int = self._socket.getsockname()[1]
         self._app = app
