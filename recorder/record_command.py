@@ -18,6 +18,7 @@ from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
+from recorder.rows.label_plan import wrong_timing
 from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.built_in_simulator import check_drive, record_simulated
 from recorder.sources.frame_rate import check_rate, check_row_rate
@@ -54,6 +55,8 @@ def record(config: Record) -> int:
     info = describe(done.path, with_tags=False)
     if info.lag is not None and info.lag.is_mirrored:
         print_message(f"{done.path}: its pictures turn the other way: is left right?", style="yellow")
+    if info.lag is not None and (timing := wrong_timing(info.lag)):
+        print_message(f"{done.path}: its steering is {timing}", style="yellow")
     odd = info.odd or ()
     for line in odd_lines(odd):
         print_message(line, heading="odd:", style="yellow")

@@ -171,13 +171,15 @@ def _keys(file: Path) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
     """The keys of a session's frames that are not tagged `exclude`, and their positions in the frames file."""
     table = read_frames(file, ("log_time_ns", "length", "camera", "tags"))
     at = np.flatnonzero(~is_excluded(table))
-    return _key(table)[at], at.astype(np.int32)
+    return picture_keys(table)[at], at.astype(np.int32)
 
 
-def _key(frames: pa.Table) -> NDArray[np.uint64]:
-    """A hash (N,) of time, length and camera. If two different pictures have the same hash, their bytes differ."""
+def picture_keys(frames: pa.Table, *numbers: str) -> NDArray[np.uint64]:
+    """A hash (N,) of time, length, camera, and the columns `numbers`. Two different pictures may have the same
+    hash."""
     camera = pc.index_in(frames["camera"].cast(pa.string()), pa.array(CAMERAS)).to_numpy()
     columns = (frames["log_time_ns"].to_numpy(), frames["length"].to_numpy(), camera)
+    columns += tuple(frames[name].to_numpy().view(np.int64) for name in numbers)
     mixed = np.zeros(len(frames), np.uint64)
     for column in columns:
         mixed = mixed * _PRIME + column.astype(np.uint64)

@@ -1,12 +1,13 @@
 """Check an index for leaks: training must not use validation pictures, nor their neighbours within the gap.
 
-The check reads the parquet files, and relies only on the rows and times of the frames; it computes all other
-values again. (Pictures that two sessions share are found when an index is built.)
+The check reads the parquet files, and relies only on what the logs hold, such as the rows and times of the frames;
+it computes all other values again. (Pictures that two sessions share are found when an index is built.)
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -20,8 +21,12 @@ from dataset.frames.distinct_rows import by_session
 from dataset.frames.frame_flags import is_excluded
 from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
+from dataset.index.duplicates import picture_keys
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
+from recorder.rows.row_quality import STANDING_MPH
+
+_OF_FRAMES: Final = ["row", "log_time_ns", "tags", "camera", "length", "steering", "speed_mph"]
 
 
 def find_leaks(index: Path | str) -> list[str]:
@@ -29,6 +34,7 @@ def find_leaks(index: Path | str) -> list[str]:
 
     - A row of a log, with its cameras, mirror images and copies, must not be in both training and validation.
     - A training sample must not be within the gap around a validation sample of its session.
+    - A log may hold a drive twice: a picture must not be in both under two rows, unless the car stands.
     - Validation must not contain altered pictures or copies, and no sample may be tagged `exclude`.
 
     Raises DatasetError if the index is missing or damaged.
@@ -49,7 +55,7 @@ def _leaks_in(path: Path, index: Path, gap_s: float) -> list[str]:
     samples = read_columns(path, columns, read_dictionary=["session"]).unify_dictionaries()
     leaks: list[str] = []
     for name, session_samples in by_session(samples):
-        frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=["row", "log_time_ns", "tags"])
+        frames = pq.read_table(index / FRAMES_FOLDER / f"{name}.parquet", columns=_OF_FRAMES)
         leaks += [f"{name}: {leak}" for leak in _leaks_of(session_samples, frames, gap_s)]
     return leaks
 
@@ -67,9 +73,21 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     excluded = np.unique(moments(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
         leaks.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
+    if len(again := _again(frames, training, validation)):
+        leaks.append(f"{_rows(again)} in validation a second time, the first is row {again[0]['row']}")
     if close := _close(np.unique(moments(frames)), training, validation, gap_s):
         leaks.append(close)
     return leaks
+
+
+def _again(frames: pa.Table, training: NDArray[np.void], validation: NDArray[np.void]) -> NDArray[np.void]:
+    """The training rows of a moving car that equal a validation row, except for the number. Two drives in a
+    simulator have the same times, and some pictures of the same length: steering and speed must be equal, too."""
+    rows, picture = moments(frames), picture_keys(frames, "steering", "speed_mph")
+    moves = ~(np.abs(frames["speed_mph"].to_numpy()) < STANDING_MPH)  # True if the speed is unknown
+    is_held_out = np.isin(rows, validation)
+    is_trained = moves & np.isin(rows, training) & ~is_held_out
+    return np.unique(rows[is_trained & np.isin(picture, picture[is_held_out])])
 
 
 def _rows(rows: NDArray[np.void]) -> str:

@@ -91,6 +91,16 @@ def _late(lag: SteeringLag | None) -> tuple[float, str]:
     return late_s, f"steering is {late_s:g} s late"
 
 
+def wrong_timing(lag: SteeringLag) -> str:
+    """How late or early steering is, and what corrects it, if it surely is so by more than cars have and plans
+    correct; else ""."""
+    if abs(lag.lag_s) - (lag.margin_s or 0.0) <= MAX_LATE_S or lag.is_mirrored:
+        return ""
+    late_s = round(lag.lag_s + RESPONSE_S, 1)
+    shift = f"`bc-index --label-shift {late_s:g}` corrects it, in all sessions of the index"
+    return f"{abs(late_s):g} s {'late' if late_s > 0 else 'early'}; {shift}"
+
+
 def goes_by_lag(habits: SteeringHabits, driven_by: str) -> bool:
     """True if `plan_labels` needs the lag, which is measured in pictures."""
     return not habits.device and not driven_by and habits.kind in ("steps", "smooth")

@@ -30,6 +30,7 @@ from recorder.rows.row_quality import (
     row_flags,
     usual_speed_mph,
 )
+from recorder.rows.steering_habits import MAX_OUT_OF_RANGE
 
 ODD_KINDS: Final[Mapping[str, str]] = {
     "crash": "crash",
@@ -56,6 +57,7 @@ CREEP_S: Final = 2.0  # of moving; a start takes less than one
 COAST_S: Final = 1.5
 COAST_SPEED_SHARE: Final = 1 / 3
 _ROUNDING_MPH: Final = 0.2
+_MIN_ROWS: Final = 100  # to judge the scale of the steering
 
 Mask = NDArray[np.bool_]
 
@@ -156,6 +158,11 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
             return f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"
 
         yield "off_road", off_road_rows(beyond_m, time_s, drive), True, how_far
+    beyond = float((np.abs(states.steering) > 1).mean())  # False for NaN
+    if beyond > MAX_OUT_OF_RANGE and len(drive) >= _MIN_ROWS:
+        # without its bends, the rest would teach a network to go straight
+        scale = f"steering beyond -1..1 in {beyond:.0%} of the rows: another scale, such as degrees?"
+        yield "out_of_range", np.ones(len(drive), np.bool_), False, scale
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
 
     def from_a_stand(rows: slice) -> str:

@@ -16,6 +16,7 @@ from recorder.errors import LogError
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.mcap.picture_places import Pictures
 from recorder.pictures.decoding import decode_picture, scaled_to_width
+from recorder.pictures.picture_size import width_and_height
 from recorder.rows.row_quality import States, Values
 from recorder.topics import camera_topic
 
@@ -76,12 +77,17 @@ class CenterPictures:
         self.decoded_rows = set[int]()
 
     def gray(self, row: int) -> NDArray[np.uint8] | None:
-        """The picture at half its size; None if there is none, or it does not decode."""
+        """The picture, at half its size if it has 320 columns or more; None if there is none, or it does not
+        decode."""
         place = self._places[row]
         if place is None:
             return None
         try:
-            picture = decode_picture(self._log.read(*place), cv2.IMREAD_REDUCED_GRAYSCALE_2)
+            encoded = self._log.read(*place)
+            width_px, _ = width_and_height(encoded) or (0, 0)
+            is_wide = width_px >= 2 * WIDTH_PX  # half of a small picture shows hardly any turn
+            flags = cv2.IMREAD_REDUCED_GRAYSCALE_2 if is_wide else cv2.IMREAD_GRAYSCALE
+            picture = decode_picture(encoded, flags)
         except LogError:
             return None
         if picture is not None:

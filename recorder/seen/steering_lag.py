@@ -20,7 +20,7 @@ from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
 
 MAX_PICTURES: Final = 1500  # decoded, even in long sessions: half a second of one core
 _STEP_S: Final = 0.05
-_LAGS_S: Final = np.arange(-20, 21) * _STEP_S
+_LAGS_S: Final = np.arange(-60, 61) * _STEP_S
 _MIN_PAIRS: Final = 200
 _MIN_CORRELATION: Final = 0.35  # recordings have 0.4 to 0.94
 _AGREE_S: Final = 0.11  # both halves of the pairs

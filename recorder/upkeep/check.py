@@ -17,6 +17,7 @@ from recorder.log.tagged_rows import TaggedRows, fine_rows
 from recorder.log.tags import EXCLUDE, read_tags
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
+from recorder.rows.label_plan import wrong_timing
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding
@@ -91,16 +92,24 @@ def check(path: Location, *, look: bool = True) -> Checked:
             odd = odd_stretches(states_of(log))
         if look and has_rows:
             lag, is_lag_kept = find_lag(log)
-            if lag is not None and lag.lag is not None and lag.lag.is_mirrored:
-                findings.append(Finding("sessions whose pictures turn the other way", "all rows; is left right?"))
+        shown = None if lag is None else lag.lag
         if look and has_rows and isinstance(path, Path):
             from recorder.seen.shown_stretches import with_pictures  # OpenCV
+            from recorder.seen.steering_lag import measure_lag
             from recorder.upkeep.swapped_cameras import are_swapped
 
-            odd = with_pictures(log, States.of(log.vehicle()), odd)
+            states = States.of(log.vehicle())
+            odd = with_pictures(log, states, odd)
+            if shown is None:  # labels need none, or an earlier version tried fewer lags
+                shown = measure_lag(log, states)
+                lag = lag and LagFinding(shown)
             if are_swapped(log):
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
+        if shown is not None and shown.is_mirrored:
+            findings.append(Finding("sessions whose pictures turn the other way", "all rows; is left right?"))
+        if shown is not None and (timing := wrong_timing(shown)):
+            findings.append(Finding("sessions whose steering is late or early", f"all rows; {timing}"))
     odd = fine.untagged(odd)
     findings += odd_findings(excluded.untagged(odd))
     pauses = [finding for finding in findings if finding.kind == GAPS and is_paused_by_people]

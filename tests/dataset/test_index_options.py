@@ -26,6 +26,7 @@ from dataset.samples.filter import Condition
 from logs import write_log, write_session
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
+from recorder.upkeep.edit import merge
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
@@ -180,6 +181,16 @@ def leak_of(tmp_path: Path, **changed: object) -> list[str]:
 def test_a_row_on_both_sides_is_a_leak(tmp_path: Path) -> None:
     leaks = leak_of(tmp_path, split="train")
     assert any("in training and in validation" in leak for leak in leaks)
+
+
+def test_a_drive_that_a_merged_log_holds_twice_is_a_leak(tmp_path: Path) -> None:
+    first = write_session(tmp_path / "a.mcap", STEERING)
+    other = write_session(tmp_path / "b.mcap", STEERING[::-1])  # at the same times, with pictures as long
+    for again, leaks in ((first, 1), (other, 0)):
+        log = merge([first, again], tmp_path / f"with-{again.name}").path
+        found = find_leaks(build_index([log], tmp_path / again.stem, IndexConfig(block_s=3)).path)
+        assert len(found) == leaks
+        assert all("in validation a second time" in leak for leak in found)
 
 
 def test_a_row_that_the_frames_lack_is_damage(tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def test_a_log_of_before_is_measured_by_a_check_once(
     assert call(main, "check", "--no-look", log) == 0
     assert not unmeasured.with_name("a.lag.json").exists()
     assert call(main, "check", log) == 0
-    assert "  lag +0.30 ±0.10 s" in capsys.readouterr().out
+    assert "  lag +0.30 ±0.05 s" in capsys.readouterr().out
     assert lag_s(describe(log)) == pytest.approx(LATE_S, abs=0.051)
     monkeypatch.setattr(steering_lag, "measure_lag", None)
     assert call(main, "check", log, "--json") == 0

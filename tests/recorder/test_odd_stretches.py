@@ -73,6 +73,15 @@ def test_the_approach_the_reversing_and_the_way_out_belong_to_the_crash() -> Non
     )
 
 
+def test_bends_in_degrees_are_another_scale_and_not_to_be_excluded() -> None:
+    (scale,) = odd_stretches(driven(CRUISE, (4.0, 12.0, 0.5, 20.0, 20.0), CRUISE))
+    assert (scale.kind, scale.first_row, scale.rows, scale.is_sure) == ("out_of_range", 100, 340, False)
+    assert "beyond -1..1 in 12% of the rows: another scale, such as degrees?" in scale.cause
+    assert not any("exclude --odd" in line for line in odd_advice([scale], Path("a.mcap")))
+    ((_, begin_s, _, is_sure),) = found_in(CRUISE, (1.0, 12.0, 0.5, 20.0, 20.0), CRUISE)
+    assert (begin_s, is_sure) == (15.0, True)
+
+
 def test_a_parked_car_stands_for_long_and_an_ordinary_start_does_not() -> None:
     ((kind, begin_s, end_s, is_sure),) = found_in(CRUISE, STOP, (8.0, 0.0, 0.0, 0.0, 0.0), START, CRUISE)
     assert (kind, is_sure) == ("parked", True)

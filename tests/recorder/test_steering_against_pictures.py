@@ -41,6 +41,15 @@ def test_mirrored_labels_are_found(lag_s: float, tmp_path: Path) -> None:
     assert found_in(drive) == [pytest.approx([(at_s + lag_s) * RATE_HZ for at_s in WRONG_S], abs=10)]
 
 
+@pytest.mark.parametrize("wrong_s", [(0.0, 36.0), (30.0, 60.0), (12.0, 48.0)])
+def test_a_recording_of_which_half_is_mirrored_is_found(wrong_s: tuple[float, float], tmp_path: Path) -> None:
+    def wheel(at_s: Seconds) -> Seconds:
+        return hand(at_s) * np.where((at_s >= wrong_s[0]) & (at_s < wrong_s[1]), -1, 1)
+
+    drive = write_drive(tmp_path / "a.mcap", views(ROWS), wheel)
+    assert found_in(drive) == [pytest.approx([at_s * RATE_HZ for at_s in wrong_s], abs=15)]
+
+
 def test_sound_labels_are_not(tmp_path: Path) -> None:
     """Nor those of a straight, of a standing car, or where pictures tell nothing."""
     assert found_in(write_drive(tmp_path / "sound.mcap", views(ROWS))) == []
