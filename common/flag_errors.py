@@ -10,7 +10,7 @@ import dataclasses
 import sys
 from collections.abc import Iterator, Sequence
 from types import UnionType
-from typing import Any, Final, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -78,13 +78,41 @@ def _unknown(tokens: Sequence[str], config: Any) -> str:
         return f"{tokens[0]}: no such command; {meant or 'the commands are ' + ', '.join(subcommands)}"
     flag = next((token for token in tokens if token.startswith("-")), None)
     if flag is None:
-        return f"{tokens[0]}: one word too many; put a name with spaces in quotes"
+        return _too_many(tokens[0], config)
     flag = flag.partition("=")[0]
     if instead := getattr(config, "REMOVED", {}).get(flag):
         return f"{flag}: was removed; {instead}"
     if flag in names:  # of another subcommand
         return f"{flag}: not a flag of this command"
     return f"{flag}: no such flag{_after('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
+
+
+def _too_many(word: str, config: Any) -> str:
+    """The error about a word that belongs to no flag. tyro has read the words before it."""
+    too_many = f"{word}: one word too many"
+    before = sys.argv[1 : sys.argv.index(word)] if word in sys.argv[1:] else []
+    flags = [place for place, token in enumerate(before) if token.startswith("--")]
+    hints = {} if get_origin(config) in (Union, UnionType) else get_type_hints(config, include_extras=True)
+    if flags:
+        after = f"{too_many} after {' '.join(before[flags[-1] :])}"
+        if any(_takes_several_words(hint) for hint in hints.values()):
+            return f"{after}; put words without a flag before all flags"
+        if choices := list(_choices(hints.get(before[flags[-1]][2:].replace("-", "_")))):
+            return f"{after}; {before[flags[-1]]} is {' or '.join(choices)}"
+    return f"{too_many}; put a name with spaces in quotes"
+
+
+def _choices(hint: Any) -> Iterator[str]:
+    if get_origin(hint) is Literal:
+        yield from map(str, get_args(hint))
+    else:
+        for part in get_args(hint):
+            yield from _choices(part)
+
+
+def _takes_several_words(hint: Any) -> bool:
+    is_positional = tyro.conf.Positional in getattr(hint, "__metadata__", ())
+    return is_positional and get_origin(get_args(hint)[0]) is tuple
 
 
 def _names_of(kind: Any) -> Iterator[str]:

@@ -23,6 +23,7 @@ from simulator.driving.recovery_driving import steps_each
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.rendering.camera import HEIGHT_PX, WIDTH_PX
+from simulator.roads.track import is_drawn
 
 Observation = dict[str, NDArray[Any]]
 
@@ -65,7 +66,10 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"laps={laps!r}: expected a number above 0")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode={render_mode!r}: expected rgb_array or None")
-        self._step_s = steps_each(rate_hz) * STEP_S
+        try:
+            self._step_s = steps_each(rate_hz) * STEP_S
+        except ValueError:  # names a command's flag
+            raise ValueError(f"rate_hz={rate_hz!r}: it must divide 50 (as 5, 10, 12.5, 25 do)") from None
         self.metadata = {**type(self).metadata, "render_fps": rate_hz}
         self.render_mode = render_mode
         observed: dict[str, spaces.Space[Any]] = {
@@ -137,14 +141,21 @@ class RandomRoadEnv(DrivingEnv):
     """The random road `random:SEED`. The same seed gives the same road."""
 
     def __init__(self, seed: int = 0, **settings: Any) -> None:
-        super().__init__(f"random:{seed}", **settings)
+        super().__init__(_road("random", seed), **settings)
 
 
 class HairpinRoadEnv(DrivingEnv):
     """The random road `hairpins:SEED`, with hairpins like the mountain's. The same seed gives the same road."""
 
     def __init__(self, seed: int = 0, **settings: Any) -> None:
-        super().__init__(f"hairpins:{seed}", **settings)
+        super().__init__(_road("hairpins", seed), **settings)
+
+
+def _road(kind: str, seed: int) -> str:
+    name = f"{kind}:{seed}"
+    if not is_drawn(name):
+        raise ValueError(f"seed={seed!r}: expected a whole number of at most 18 digits, from 0 on")
+    return name
 
 
 def expert(env: gymnasium.Env[Any, Any], observation: object) -> NDArray[np.float32]:

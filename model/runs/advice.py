@@ -15,6 +15,9 @@ from common.errors import counted, printable
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_numbers import RunNumbers
 
+FEW_FRAMES: Final = 300
+"""Half a minute at ten frames a second: six blocks of 5 s, within which errors are alike. Fewer blocks give no
+reliable interval (`model.evaluation.differences`)."""
 FEW_EPOCHS: Final = 4
 """Networks of the study drove after 4 epochs; none drove after 1. With the default recipe, networks of only 220
 rows left the road 41 and 53 times after one epoch, and at most twice after ten (docs/studies/which-number.md)."""
@@ -69,14 +72,14 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
     """Natural answers are worse than answers as learnt, and the answers as learnt beat always predicting the mean.
-    After only a few epochs, more epochs help first."""
+    After only a few epochs, more epochs help first; of a few frames, the difference may be chance."""
     kept = numbers.kept
     if (
         kept is None
         or len(numbers.epochs) < FEW_EPOCHS
         or kept.learnt is None
         or kept.answers == AnswerScale()
-        or not kept.measures.frames
+        or kept.measures.frames < FEW_FRAMES
     ):
         return None
     natural, learnt = kept.measures.driving_error, kept.learnt_driving_error

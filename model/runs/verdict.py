@@ -14,15 +14,12 @@ from typing import Any, Final
 
 from common.errors import counted, decimal
 from model.metrics import Measures
-from model.runs.advice import Advice, advice
+from model.runs.advice import FEW_FRAMES, Advice, advice
 from model.runs.enough_to_drive import Drivable
 from model.runs.run_numbers import RunNumbers
 
 OF_THE_MEAN: Final = 2.0
 """The driving error of always predicting the mean."""
-FEW_FRAMES: Final = 300
-"""Half a minute at ten frames a second: six blocks of 5 s, within which errors are alike. Fewer blocks give no
-reliable interval (`model.evaluation.differences`)."""
 _A_WHOLE_LAP: Final = 0.99
 """A drive may end one message before the line."""
 _UNKNOWN: Final = Drivable(None, "")
@@ -68,7 +65,7 @@ class Verdict:
         """The verdict in one to three words, for a table."""
         if not self.beside_mean:
             return "-"
-        if self.is_no_better:
+        if self.is_no_better and self.interventions != 0:  # a clean drive shows more than its errors
             return "no better"
         if self.interventions is not None:
             return "leaves the road" if self.interventions else "drives"

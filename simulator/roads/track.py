@@ -52,14 +52,18 @@ def load_track(name: str) -> Track:
     if built_in is not None:
         points, index = trace(built_in)
         return make_track(name, points, tuple(s.look for s in built_in), index)
-    drawn = re.fullmatch(r"(random|hairpins):([0-9]{1,18})", name)
-    if drawn is None:
+    if not is_drawn(name):
         meant = did_you_mean(name.lower(), ("lake", "mountain", "random:7", "hairpins:7"))
         choice = "Choose lake, mountain, random:SEED or hairpins:SEED (such as random:7)"
         raise ValueError(f"no such track{f'; {meant}' if meant else '.'} {choice}")
-    draw = random_road if drawn[1] == "random" else hairpin_road
-    points, looks, index = draw(int(drawn[2]))
+    kind, _, seed = name.partition(":")
+    points, looks, index = (random_road if kind == "random" else hairpin_road)(int(seed))
     return make_track(name, points, looks, index)
+
+
+def is_drawn(name: str) -> bool:
+    """True for ``random:SEED`` and ``hairpins:SEED``."""
+    return re.fullmatch(r"(random|hairpins):[0-9]{1,18}", name) is not None
 
 
 def make_track(name: str, points_m: Floats, looks: tuple[Look, ...], index: NDArray[np.intp]) -> Track:

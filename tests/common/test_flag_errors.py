@@ -7,11 +7,13 @@ from collections.abc import Callable
 import pytest
 
 from dataset.cli import main as bc_index
+from drive.cli import main as bc_drive
 from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.log_cli import main as bc_log
 from udacity import call
+from viz.cli import main as bc_play
 
 TRIM = ("trim", "a.mcap", "--to", "b.mcap")
 
@@ -48,6 +50,17 @@ def test_what_a_flag_takes_is_said_in_words(
         (bc_index, ["--flip"], "bc-index: --flip: no such flag; did you mean --no-flip?"),
         (bc_index, ["--figures", "f"], "bc-index: --figures: was removed; bc-web shows the balance"),
         (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),
+        (bc_play, ["a", "--by", "place", "b"], "bc-play: b: one word too many after --by place; put words"),
+        (
+            bc_index,
+            ["a", "--seed", "2", "b"],
+            "bc-index: b: one word too many after --seed 2; put words without a flag",
+        ),
+        (
+            bc_drive,
+            ["a", "--takeover", "you"],
+            "bc-drive: you: one word too many after --takeover expert; --takeover is expert or me;",
+        ),
         (bc_record, ["--laps", "1"], "bc-record: NAME is missing"),
         (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help-all` has all flags"),
     ],

@@ -117,6 +117,9 @@ def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
     assert verdict.summary.startswith("no better than always predicting the mean: on turns (")
     assert verdict.summary.endswith("; not enough to drive")
     assert (verdict.is_no_better, verdict.in_short) == (True, "no better")
+    clean, failed = ({"track": "lake", "set_speed_mph": 10.0, "interventions": times} for times in (0, 2))
+    assert verdict_of(numbers(measured=worse, drives=(clean,))).in_short == "drives"
+    assert verdict_of(numbers(measured=worse, drives=(failed,))).in_short == "no better"
 
 
 @pytest.mark.parametrize(
@@ -290,6 +293,13 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     advised = advice(run)
     assert why in advised.why
     assert advised.command == command
+
+
+@pytest.mark.parametrize(("frames", "is_advised"), [(100, False), (299, False), (300, True)])
+def test_natural_answers_are_judged_on_enough_frames(frames: int, is_advised: bool) -> None:
+    weak = [replace(of, measures=measured(0.35, np.linspace(-0.6, 0.6, frames))) for of in WEAK]
+    judged = advice(numbers(epochs=[scaled(of, 0.4) for of in weak]))
+    assert judged.why.startswith("natural answers make it worse") is is_advised
 
 
 def test_turns_of_an_unseen_session_are_not_counted_as_learnt() -> None:

@@ -147,13 +147,19 @@ def test_many_at_once_do_what_one_does(lake: gymnasium.Env[Any, Any]) -> None:
         ({"cameras": ("rear",)}, "center, left, right"),
         ({"cameras": ()}, "center, left, right"),
         ({"laps": math.nan}, "above 0"),
-        ({"rate_hz": 30.0}, "divide 50"),
+        ({"rate_hz": 30.0}, r"^rate_hz=30\.0: it must divide 50"),
         ({"render_mode": "human"}, "rgb_array"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         DrivingEnv("lake", **settings)
+
+
+@pytest.mark.parametrize("road", ["Random", "Hairpins"])
+def test_a_seed_without_a_road_is_named(road: str) -> None:
+    with pytest.raises(ValueError, match=r"^seed=-1: expected a whole number"):
+        gymnasium.make(f"simulator:bc/{road}-v0", seed=-1)
 
 
 def test_an_action_that_is_none_is_refused(lake: gymnasium.Env[Any, Any]) -> None:
