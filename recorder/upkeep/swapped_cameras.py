@@ -1,4 +1,4 @@
-"""Finds out by pictures whether a log's cameras are swapped.
+"""Finds out by pictures whether a log's cameras are swapped, or one has the pictures of another.
 
 Move a camera sideways by d, at the height h above a flat road. A road point R rows below the horizon then moves by
 R * d / h columns to the other side, for any focal length. So the shift between two cameras' pictures, row by row,
@@ -38,12 +38,9 @@ def swapped_cameras(log: Log) -> str:
     """The cameras whose pictures fit a level road only if swapped: "left and right", "center and left" or so, or
     "all three"; "" if there are none. Raises LogError for a damaged log."""
     places = [log.pictures(camera_topic(camera)) for camera in _CAMERAS]
-    rows = sorted(set.intersection(*(set(pictures.sequence.tolist()) for pictures in places)))
-    if not rows:
-        return ""
-    chosen = np.unique(np.linspace(0, len(rows) - 1, _MAX_MOMENTS).round().astype(int)).tolist()
+    rows = _spread(set.intersection(*(set(pictures.sequence.tolist()) for pictures in places)))
     seen: dict[Camera, list[Edges]] = {camera: [] for camera in _CAMERAS}
-    for row in (rows[at] for at in chosen):
+    for row in rows:
         bands = [_bands(log.picture(row, camera)) for camera in _CAMERAS]
         whole = [edges for edges in bands if edges is not None]
         if len(whole) == 3 and len({edges.shape for edges in whole}) == 1:
@@ -66,6 +63,24 @@ def swapped_cameras(log: Log) -> str:
     order = next((order for order in itertools.permutations(_CAMERAS) if fit(*order)), _CAMERAS)
     moved = [camera for camera, other in zip(_CAMERAS, order, strict=True) if camera != other]
     return "all three" if len(moved) == 3 else " and ".join(moved)
+
+
+def same_pictures(log: Log) -> list[str]:
+    """The pairs of cameras with the same pictures, byte for byte: "center and left". Raises LogError for a damaged
+    log."""
+    pairs = []
+    for first, second in itertools.combinations(_CAMERAS, 2):
+        both = set(log.pictures(camera_topic(first)).sequence.tolist())
+        rows = _spread(both.intersection(log.pictures(camera_topic(second)).sequence.tolist()))
+        if len(rows) >= _MIN_MOMENTS and all(log.picture(row, first) == log.picture(row, second) for row in rows):
+            pairs.append(f"{first} and {second}")
+    return pairs
+
+
+def _spread(rows: set[int]) -> list[int]:
+    """At most `_MAX_MOMENTS` of the rows, evenly spread."""
+    ordered, count = sorted(rows), min(len(rows), _MAX_MOMENTS)
+    return [ordered[at] for at in np.linspace(0, len(rows) - 1, count).round().astype(int).tolist()]
 
 
 def _bands(encoded: bytes) -> Edges | None:

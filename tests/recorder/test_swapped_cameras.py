@@ -69,6 +69,14 @@ def test_a_swapped_centre_camera_is_found(
     assert f"  cameras that are swapped: 1 ({words}; import the recording again)" in capsys.readouterr().out
 
 
+def test_a_camera_with_the_pictures_of_another_is_found(
+    tmp_path: Path, seen: list[list[bytes]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = log_of(tmp_path / "a.mcap", [[centre, centre, right] for centre, _, right in seen])
+    assert call(log_main, "check", log) == 3
+    assert "  cameras with the same pictures: 1 (center and left; " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("size", [(640, 320), (160, 80)])
 def test_the_size_of_the_pictures_does_not_matter(
     tmp_path: Path, seen: list[list[bytes]], size: tuple[int, int]
