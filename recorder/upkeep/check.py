@@ -96,16 +96,21 @@ def check(path: Location, *, look: bool = True) -> Checked:
         if look and has_rows and isinstance(path, Path):
             from recorder.seen.shown_stretches import with_pictures  # OpenCV
             from recorder.seen.steering_lag import measure_lag
-            from recorder.upkeep.swapped_cameras import are_swapped
+            from recorder.upkeep.swapped_cameras import same_pictures, swapped_cameras
 
             states = States.of(log.vehicle())
             odd = with_pictures(log, states, odd)
             if shown is None:  # labels need none, or an earlier version tried fewer lags
                 shown = measure_lag(log, states)
                 lag = lag and LagFinding(shown)
-            if are_swapped(log):
+            for pair in same_pictures(log):
+                copies = "`bc-index --cameras center` leaves the copies out"
+                findings.append(Finding("cameras with the same pictures", f"{pair}; {copies}"))
+            if (swapped := swapped_cameras(log)) == "left and right":
                 left_out = "`bc-index --cameras center` leaves them out"
-                findings.append(Finding("side cameras that are swapped", f"left and right; {left_out}"))
+                findings.append(Finding("side cameras that are swapped", f"{swapped}; {left_out}"))
+            elif swapped:
+                findings.append(Finding("cameras that are swapped", f"{swapped}; import the recording again"))
         if shown is not None and shown.is_mirrored:
             findings.append(Finding("sessions whose pictures turn the other way", "all rows; is left right?"))
         if shown is not None and (timing := wrong_timing(shown)):

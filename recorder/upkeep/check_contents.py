@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from concurrent.futures import Executor
 from typing import Final, NamedTuple
 
+import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from google.protobuf.message import DecodeError
 
@@ -36,6 +37,8 @@ ODD_FINDINGS: Final = {
     "steering_against_pictures": "stretches of steering against the pictures",
 }
 """Without coasting and creeping, which only `bc-log info` names."""
+MAX_STILL: Final = 0.1
+"""The share of rows with the time of the row before, above which a clock is too coarse, such as whole seconds."""
 MISFIT: Final = "messages that do not match their schema"
 
 
@@ -152,6 +155,10 @@ class Contents:
         for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
             if not self._fine.cover(row, row):
                 self._findings.append(Finding(GAPS, f"before row {row}"))
+        still = states.row[1:][np.diff(states.time_ns) == 0].tolist()
+        if len(still) > MAX_STILL * len(states.row):
+            for first, last in consecutive(still):
+                self._findings.append(Finding("stretches of rows at the same time", rows_named(first - 1, last)))
         self.odd = odd_stretches(states)
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""Finds out by pictures whether a log's left and right cameras are swapped.
+"""Finds out by pictures whether a log's cameras are swapped, or one has the pictures of another.
 
 Move a camera sideways by d, at the height h above a flat road. A road point R rows below the horizon then moves by
 R * d / h columns to the other side, for any focal length. So the shift between two cameras' pictures, row by row,
@@ -7,7 +7,8 @@ gives d / h, without finding the road or the horizon.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from functools import cache
 from typing import Final
 
 import cv2
@@ -33,33 +34,53 @@ Edges = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
 
-def are_swapped(log: Log) -> bool:
-    """True if the left and right cameras' pictures fit a level road only with the cameras swapped. Raises LogError
-    for a damaged log."""
+def swapped_cameras(log: Log) -> str:
+    """The cameras whose pictures fit a level road only if swapped: "left and right", "center and left" or so, or
+    "all three"; "" if there are none. Raises LogError for a damaged log."""
     places = [log.pictures(camera_topic(camera)) for camera in _CAMERAS]
-    rows = sorted(set.intersection(*(set(pictures.sequence.tolist()) for pictures in places)))
-    if not rows:
-        return False
-    chosen = np.unique(np.linspace(0, len(rows) - 1, _MAX_MOMENTS).round().astype(int)).tolist()
-    centre, left, right = list[Edges](), list[Edges](), list[Edges]()
-    for row in (rows[at] for at in chosen):
+    rows = _spread(set.intersection(*(set(pictures.sequence.tolist()) for pictures in places)))
+    seen: dict[Camera, list[Edges]] = {camera: [] for camera in _CAMERAS}
+    for row in rows:
         bands = [_bands(log.picture(row, camera)) for camera in _CAMERAS]
         whole = [edges for edges in bands if edges is not None]
         if len(whole) == 3 and len({edges.shape for edges in whole}) == 1:
-            for camera_edges, edges in zip((centre, left, right), whole, strict=True):
-                camera_edges.append(edges)
-    return len(centre) >= _MIN_MOMENTS and not _fit(centre, left, right) and _fit(centre, right, left)
+            for camera, edges in zip(_CAMERAS, whole, strict=True):
+                seen[camera].append(edges)
+    if len(seen["center"]) < _MIN_MOMENTS:
+        return ""
+
+    @cache
+    def share(on_left: Camera, on_right: Camera) -> float | None:
+        both = zip(seen[on_left], seen[on_right], strict=True)
+        likeness = np.mean([_likeness(first, second) for first, second in both], axis=0)
+        return _slope(likeness, seen["center"][0].shape[1])
+
+    def fit(center: Camera, left: Camera, right: Camera) -> bool:
+        """True if the pictures show a level road, with left and right equally far from the centre."""
+        shares = [found for found in (share(left, center), share(center, right)) if found is not None]
+        return len(shares) == 2 and abs(shares[0] - shares[1]) <= _MAX_ASKEW * sum(shares) / 2
+
+    order = next((order for order in itertools.permutations(_CAMERAS) if fit(*order)), _CAMERAS)
+    moved = [camera for camera, other in zip(_CAMERAS, order, strict=True) if camera != other]
+    return "all three" if len(moved) == 3 else " and ".join(moved)
 
 
-def _fit(centre: Sequence[Edges], left: Sequence[Edges], right: Sequence[Edges]) -> bool:
-    """True if the pictures show a level road, with left and right equally far from the centre."""
-    rows = centre[0].shape[1]  # of a band
-    shares = [
-        _slope(np.mean([_likeness(on_left, on_right) for on_left, on_right in pairs], axis=0), rows)
-        for pairs in (zip(left, centre, strict=True), zip(centre, right, strict=True))
-    ]
-    measured = [share for share in shares if share is not None]
-    return len(measured) == 2 and abs(measured[0] - measured[1]) <= _MAX_ASKEW * sum(measured) / 2
+def same_pictures(log: Log) -> list[str]:
+    """The pairs of cameras with the same pictures, byte for byte: "center and left". Raises LogError for a damaged
+    log."""
+    pairs = []
+    for first, second in itertools.combinations(_CAMERAS, 2):
+        both = set(log.pictures(camera_topic(first)).sequence.tolist())
+        rows = _spread(both.intersection(log.pictures(camera_topic(second)).sequence.tolist()))
+        if len(rows) >= _MIN_MOMENTS and all(log.picture(row, first) == log.picture(row, second) for row in rows):
+            pairs.append(f"{first} and {second}")
+    return pairs
+
+
+def _spread(rows: set[int]) -> list[int]:
+    """At most `_MAX_MOMENTS` of the rows, evenly spread."""
+    ordered, count = sorted(rows), min(len(rows), _MAX_MOMENTS)
+    return [ordered[at] for at in np.linspace(0, len(rows) - 1, count).round().astype(int).tolist()]
 
 
 def _bands(encoded: bytes) -> Edges | None:

@@ -267,7 +267,7 @@ def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: p
         assert call(main, "--sessions", folder, "--index", tmp_path / "index") == 0
         said = " ".join(capsys.readouterr().out.split())
         assert "keyboard keys 50% 65 x 0.5 s 10.0" in said
-        for word in ("mean of 0.5 s", "is 0.4 s late", "+0.30 ±0.10", "too short to tell", "is left right?"):
+        for word in ("mean of 0.5 s", "is 0.4 s late", "+0.30 ±0.05", "too short to tell", "is left right?"):
             assert word in said
 
 

@@ -110,6 +110,16 @@ def test_every_flipped_byte_is_found(tmp_path: Path, every: int) -> None:
     assert unseen == []
 
 
+def test_a_clock_of_whole_seconds_is_a_finding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with LogWriter(tmp_path / "a.mcap", {"source": "csv"}) as writer:
+        for row in range(12):
+            writer.picture("center", row // 4 * 10**9, row, picture("center", row))
+            writer.vehicle(row // 4 * 10**9, row, VehicleState(steering=row / 100, speed_mph=9.0))
+    assert call(main, "check", tmp_path / "a.mcap") == 3
+    told = "stretches of rows at the same time: 3 (rows 0 to 3, rows 4 to 7, rows 8 to 11)"
+    assert told in capsys.readouterr().out
+
+
 def test_a_finding_ends_with_3_and_json_tells_each(
     tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,7 +14,7 @@ from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.reader import Log
 from recorder.log_cli import main as log_main
-from recorder.upkeep.swapped_cameras import are_swapped
+from recorder.upkeep.swapped_cameras import swapped_cameras
 from simulator.driving.simulation import Simulation
 from udacity import call
 
@@ -58,6 +58,25 @@ def test_a_check_finds_them(tmp_path: Path, seen: list[list[bytes]], capsys: pyt
     )
 
 
+@pytest.mark.parametrize(
+    ("order", "words"), [((1, 0, 2), "center and left"), ((2, 1, 0), "center and right"), ((1, 2, 0), "all three")]
+)
+def test_a_swapped_centre_camera_is_found(
+    order: Sequence[int], words: str, tmp_path: Path, seen: list[list[bytes]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = log_of(tmp_path / "a.mcap", [[pictures[at] for at in order] for pictures in seen])
+    assert call(log_main, "check", log) == 3
+    assert f"  cameras that are swapped: 1 ({words}; import the recording again)" in capsys.readouterr().out
+
+
+def test_a_camera_with_the_pictures_of_another_is_found(
+    tmp_path: Path, seen: list[list[bytes]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = log_of(tmp_path / "a.mcap", [[centre, centre, right] for centre, _, right in seen])
+    assert call(log_main, "check", log) == 3
+    assert "  cameras with the same pictures: 1 (center and left; " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("size", [(640, 320), (160, 80)])
 def test_the_size_of_the_pictures_does_not_matter(
     tmp_path: Path, seen: list[list[bytes]], size: tuple[int, int]
@@ -69,7 +88,7 @@ def test_the_size_of_the_pictures_does_not_matter(
 
     swapped = [[scaled(centre), scaled(right), scaled(left)] for centre, left, right in seen]
     with Log(log_of(tmp_path / "a.mcap", swapped)) as log:
-        assert are_swapped(log)
+        assert swapped_cameras(log) == "left and right"
 
 
 def test_pictures_that_tell_nothing_are_not_called_swapped(tmp_path: Path, seen: list[list[bytes]]) -> None:
@@ -85,7 +104,7 @@ def test_pictures_that_tell_nothing_are_not_called_swapped(tmp_path: Path, seen:
     }
     for name, pictures in moments.items():
         with Log(log_of(tmp_path / f"{name}.mcap", pictures)) as log:
-            assert not are_swapped(log), name
+            assert not swapped_cameras(log), name
 
 
 @pytest.mark.parametrize("name", ["jungle_linux", "lake_14hz", "lake_windows", "mountain_linux"])
@@ -95,6 +114,6 @@ def test_udacitys_cameras_are_called_as_they_are(tmp_path: Path, name: str, reco
     chosen = [path.name for path in centres[:: len(centres) // MOMENTS]]
     moments = [[(images / name.replace("center", camera)).read_bytes() for camera in CAMERAS] for name in chosen]
     with Log(log_of(tmp_path / "a.mcap", moments)) as log:
-        assert not are_swapped(log)
+        assert not swapped_cameras(log)
     with Log(log_of(tmp_path / "b.mcap", [[centre, right, left] for centre, left, right in moments])) as log:
-        assert are_swapped(log)
+        assert swapped_cameras(log) == "left and right"
