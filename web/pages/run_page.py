@@ -99,7 +99,7 @@ def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> st
         settings = settings_from(TrainConfig, config.get("training"))
     except ValueError:  # damaged
         return ""
-    init = str(config["init"].get("run")) if isinstance(config.get("init"), dict) else ""
+    init = str(config["init"].get("run") or "") if isinstance(config.get("init"), dict) else ""
     if _learnt_from_takeovers(config):
         log = _takeovers(bench, run.sessions, init)
         if not log or _changed(settings, TrainConfig()).keys() - _OF_INIT:
