@@ -88,12 +88,12 @@ def _name_unless_taken(part: Path, path: Path) -> None:
         os.link(part, path)  # unlike rename, link fails if the name exists, also if another process just wrote it
     except FileExistsError:
         raise UserError(
-            f"{path} was written by another process at the same time: the new file is {part}"
+            f"{path} was written by another process at the same time: rename {part}, the new file, to keep it"
         ) from None
     except OSError:  # a file system without hard links (FAT, some network shares)
         if path.exists() or path.is_symlink():
             raise UserError(
-                f"{path} was written by another process at the same time: the new file is {part}"
+                f"{path} was written by another process at the same time: rename {part}, the new file, to keep it"
             ) from None
         part.rename(path)
     else:

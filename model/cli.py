@@ -14,7 +14,7 @@ from common import UserError
 from common.allowed_places import allow_places
 from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, first_of, printable
-from common.files import refuse_existing
+from common.files import refuse_existing, short_path
 from common.location import Location, Url, absolute, is_in_store, local_path, location
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
@@ -267,6 +267,8 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
 
         codes = [DONE]
         index = index_of_run(like, config.index, config.sessions, lambda notice: codes.append(warn(notice)))
+        if is_built and index != absolute(config.index):
+            print_message(f"{config.index}: not the samples of {like}, which are in {short_path(index)}")
         return index, max(codes)
     if not is_built:
         if not _is_built_unasked(config.index):

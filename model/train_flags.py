@@ -41,7 +41,7 @@ class Train:
     takeovers: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="LOG [LOG ...]")] = ()
     """Add these drives' takeovers to the samples of --init."""
     like: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
-    """Use this run's settings and index, except for flags that you give."""
+    """Use this run's samples, and its settings except for flags that you give."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard."""
     listener: str | None = None
@@ -65,7 +65,8 @@ def refuse_contradictions(config: Train) -> None:
         raise UsageError("one training is one process: start it without torchrun (WORLD_SIZE)")
     others = {"--name": config.name, "--init": config.init, "--like": config.like}
     if config.resume is not None and (given := [flag for flag, value in others.items() if value]):
-        raise UsageError(f"{' and '.join(given)} make a new run, --resume continues one: give one of them")
+        make = "makes" if len(given) == 1 else "make"
+        raise UsageError(f"{' and '.join(given)} {make} a new run, --resume continues one: give one of them")
     if config.takeovers and config.init is None:
         raise UsageError("--takeovers continues a run: give it with --init RUN")
     if (config.on or config.takeovers) and (config.resume is not None or config.like is not None):

@@ -72,7 +72,7 @@ class ListLogs:
 
 
 def _table(infos: Sequence[LogInfo]) -> Table:
-    headings = ("log", "begun, UTC", "min", "rows", "MB", "driven by", "odd", "tags")
+    headings = ("log", "date, UTC", "min", "rows", "MB", "driven by", "odd", "tags")
     table = plain_table(None, *headings, text={"driven by", "odd", "tags"})
     for info in infos:
         odd = ", ".join(f"{rows:,} {kind.replace('_', ' ')}" for kind, rows in info.odd_rows.items())

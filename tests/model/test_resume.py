@@ -436,14 +436,19 @@ def test_a_name_that_is_taken_by_no_run_says_so(
     assert "first: exists already, and is not a run; give another --name, or remove it" in capsys.readouterr().err
 
 
-def test_like_builds_the_runs_own_index_again(index: Path, tmp_path: Path) -> None:
+def test_like_builds_the_runs_own_index_again(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     places = ["--sessions", index.parent, "--runs", tmp_path / "runs"]
     flags = ["--network", "small", "--epochs", 1, "--batch", 8, "--threads", 1, "--precision", "float32"]
     assert call(main, "--name", "first", "--index", index, *flags, *places) == 0
     other = tmp_path / "index"
     build_index([index.parent / "toy.mcap"], other, IndexConfig(bins=3))
     before = (other / "samples.parquet").read_bytes()
+    capsys.readouterr()
     assert call(main, "--name", "again", "--like", "first", "--index", other, *places) == 0
+    assert f"{other}: not the samples of " in (said := capsys.readouterr().err)
+    assert f"{other}-first" in said
     runs = tmp_path / "runs"
     assert (runs / "again" / "model.safetensors").read_bytes() == (
         runs / "first" / "model.safetensors"

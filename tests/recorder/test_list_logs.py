@@ -161,12 +161,18 @@ def test_a_failure_nobody_expects_hides_no_log(
     assert "sessions/monday.mcap: cannot be read (ZeroDivisionError of a library)" in output.err
 
 
-def test_a_recording_of_simulated_time_has_the_date_of_its_file(project: Path) -> None:
+def test_a_recording_of_simulated_time_has_the_date_of_its_file(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = project / "lake.mcap"
     record_simulated(SimulatedDrive(laps=0.002, recovery=0), path)
     before = path.read_bytes()
     os.utime(path, (1_800_000_000, 1_800_000_000))
     assert describe(path).start == "2027-01-15T08:00:00+00:00"
+    assert call(main, "ls", path) == 0
+    header, row = capsys.readouterr().out.splitlines()[:2]
+    assert header.split()[1] == "date,"  # not when the drive began
+    assert "2027-01-15 08:00" in row
     record_simulated(SimulatedDrive(laps=0.002, recovery=0), path, overwrite=True)
     assert path.read_bytes() == before
 

@@ -259,11 +259,13 @@ def test_of_two_writers_on_one_name_one_wins_and_the_other_says_so(tmp_path: Pat
     for steering, writer in zip((0.1, 0.2), writers, strict=True):
         writer.vehicle(1, 0, VehicleState(steering=steering))
     writers[1].close()
-    with pytest.raises(UserError, match=re.escape(str(path))):
+    with pytest.raises(UserError, match=re.escape(f"{path} was written by another process")) as error:
         writers[0].close()
+    assert f"rename {writers[0].part}, the new file, to keep it" in str(error.value)
     assert [state.steering for _, state in read_messages(path)["/vehicle"]] == [0.2]
-    # what the loser made is not lost either, and the message says where it is
-    assert [state.steering for _, state in read_messages(writers[0].part)["/vehicle"]] == [0.1]
+    # what the loser made is not lost either: it is a whole log
+    kept = writers[0].part.rename(tmp_path / "b.mcap")
+    assert [state.steering for _, state in read_messages(kept)["/vehicle"]] == [0.1]
 
 
 def test_text_that_is_not_utf8_is_written_escaped(tmp_path: Path) -> None:

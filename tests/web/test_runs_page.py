@@ -7,6 +7,7 @@ import html
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from urllib.parse import parse_qsl, urlencode
 
@@ -15,6 +16,7 @@ import pytest
 from driving import road_jpeg
 from histories import epoch_line, write_lines
 from logs import write_log
+from model.config import TrainConfig
 from model.runs.kept_results import keep_result
 from runs import a_run
 from waiting import wait_until
@@ -167,7 +169,8 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
 
 def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     """Left out, a setting would become the default, without a word."""
-    flags = {"recipe": "altered", "light": "as-seen", "rate": 3e-4, "picture_px": [64, 48]}
+    flags = {"recipe": "altered", "light": "as-seen", "rate": 3e-4, "picture_px": [64, 48], "crop_rows": [0, 20]}
+    flags |= {"answers": "as-learnt", "average_steps": 1, "alter_each_epoch": ["move", "zoom"], "channels": "YUV"}
     run = a_run(tmp_path / "runs", "mine", 2.0, **flags)
     config = json.loads((run / "config.json").read_text())
     config |= {"index": "index-mine", "init": {"run": "first"}}
@@ -179,6 +182,38 @@ def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
         command = bench.get(f"/jobs.command?{urlencode({'form': 'train', **values})}").text
     for words in ("--light=as-seen", "--rate=0.0003", "--picture-px 64 48", "--on sunday monday", "--init=first"):
         assert words in command
+    for words in ("--crop-rows 0 20", "--answers=as-learnt", "--average-steps=1", "--alter-each-epoch move zoom"):
+        assert words in command
+    assert "--channels=YUV" in command
+
+
+def test_train_again_repeats_the_takeovers(tmp_path: Path) -> None:
+    a_run(tmp_path / "runs", "first")
+    write_log(tmp_path / "drives" / "helped.mcap", [0.1] * 10)
+    run = a_run(tmp_path / "runs", "second", **asdict(TrainConfig(epochs=3)))
+    config = json.loads((run / "config.json").read_text())
+    config |= {"index": "index-second", "init": {"run": "first"}}
+    config["data"] |= {"logs": {"sunday": {}, "monday": {}, "helped": {}}, "settings": {"drives": "takeovers"}}
+    (run / "config.json").write_text(json.dumps(config))
+    with served(tmp_path) as bench:
+        wait_until(lambda: "Train again" in bench.get("/runs/second/top").text)
+        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get("/runs/second/top").text)
+        values = dict(parse_qsl(html.unescape(again)))
+        command = bench.get(f"/jobs.command?{urlencode({'form': values.pop('start'), **values})}").text
+    assert command.startswith("bc-train --init=first --takeovers=")
+    assert "helped.mcap --epochs=3" in command
+    assert "--on" not in command
+
+
+def test_a_network_of_ones_own_code_is_not_trained_again_there(tmp_path: Path) -> None:
+    """The form has only built-in networks: it would train another one."""
+    run = a_run(tmp_path / "runs", "mine")
+    config = json.loads((run / "config.json").read_text())
+    config["network"]["name"] = "mine.py:Net"
+    (run / "config.json").write_text(json.dumps(config))
+    with served(tmp_path) as bench:
+        wait_until(lambda: "Evaluate" in bench.get("/runs/mine/top").text)
+        assert "Train again" not in bench.get("/runs/mine/top").text
 
 
 def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Final, Literal, get_args
 
 from common.recipe import IndexRecipe, Recipe
 from dataset.config import IndexConfig
-from model.config import Light, TrainConfig
+from model.config import Answers, Light, TrainConfig
 from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
 from web.errors import WebError
@@ -211,7 +211,13 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("dropout", "dropout", hint=str(_TRAIN.dropout), is_more=True),
             Field("keep", "epoch to keep", hint="by recipe", choices=_KEEP, is_more=True),
             Field("light", "light of the pictures", hint="by recipe", choices=get_args(Light), is_more=True),
+            Field("answers", "answers", hint="by recipe", choices=get_args(Answers), is_more=True),
+            Field("average_steps", "steps averaged", hint=str(_TRAIN.average_steps), is_more=True),
+            Field("alter_each_epoch", "random changes", hint="by recipe", is_several=True, is_more=True),
+            Field("target_weights", "weight of each target", hint="1", is_several=True, is_more=True),
             Field("picture_px", "width and height of the picture", is_several=True, is_more=True),
+            Field("crop_rows", "rows cut off at top and bottom", is_several=True, is_more=True),
+            Field("channels", "colour order", hint="the network's", choices=("BGR", "RGB", "YUV"), is_more=True),
             Field("threads", "processor threads", hint="one a core", is_more=True),
             Field("seed", "seed", hint="0", is_more=True),
         ),

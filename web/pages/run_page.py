@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -20,10 +21,10 @@ from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_un
 from common.stored_settings import settings_from
 from common.whole_number import whole_number
 from model.config import TrainConfig
-from model.network.names import BUILT_IN
+from model.runs.network_of_run import is_own_network
 from model.runs.run_config import load_config
 from web.errors import WebError
-from web.folders.project_folders import PLACES, ProjectFolders, key_of
+from web.folders.project_folders import PLACES, ProjectFolders, as_word, key_of
 from web.pages.changes import runs_version
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
@@ -31,15 +32,16 @@ from web.pages.workbench import Workbench
 from web.runs.run_bins import bin_bars
 from web.runs.run_cards import RunCard
 from web.runs.run_origins import index_checksum, origin_of
-from web.runs.run_settings import run_settings
+from web.runs.run_settings import settings_of
 from web.server.templates import page, page_of
 
 _MAX_NUMBERS: Final = 14  # of a result
 _FULL_LOCK_RAD: Final = (
     math.pi / 3
 )  # of the drawn line: more than the wheels' angle, to make a few degrees visible
-_REPEATED: Final = ("rate", "batch", "light", "patience", "dropout", "keep", "picture_px")
-"""Settings of a training that its form has; its machine's are left out."""
+_MACHINES: Final = {"device", "precision", "micro_batch", "threads", "picture_memory_mb"}
+_OF_INIT: Final = {"epochs", "network", "targets", "light", "picture_px", "crop_rows", "channels"}
+"""Settings that a run takes from its first run, and the epochs, which the form has."""
 _LINE: Final = 90.0  # length of the line, in a picture of 128 by 128
 
 
@@ -62,14 +64,16 @@ def run_routes(bench: Workbench) -> list[Route]:
         card = next((card for card in bench.runs.cards(PATIENCE_S) if card.key == key), None)
         if card is None:
             raise WebError(f"{path}: the run was deleted or renamed", 404)
-        pages = _log_pages(bench.folders)
+        pages, config = _log_pages(bench.folders), None
+        with contextlib.suppress(UserError):  # damaged, or changed meanwhile
+            config = load_config(path)
         return {
             "card": card,
             "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
             "job": bench.jobs.training(f"/runs/{key}"),
-            "again": _again(card),
-            "settings": _settings(path) if not card.problem else {},
+            "again": _again(bench, card, config),
+            "settings": settings_of(config) if config is not None else {},
             "sessions": _sessions(pages, card),
             "is_of_index": _is_of_index(path, bench.folders.local_index),
             "results": _results(pages, card),
@@ -86,41 +90,58 @@ def run_routes(bench: Workbench) -> list[Route]:
     ]
 
 
-def _again(card: RunCard) -> str:
-    """The query of a training form with the settings of this run, as far as the form has them; "" if they are
-    unknown."""
+def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> str:
+    """The query of a form that trains with the settings of this run again; "" if no form can."""
     run = card.summary
-    if run is None:
+    if run is None or config is None or is_own_network(config):
         return ""
     try:
-        config = load_config(card.path)
         settings = settings_from(TrainConfig, config.get("training"))
-    except (UserError, ValueError):  # changed meanwhile, or damaged
+    except ValueError:  # damaged
         return ""
-    values = {"network": run.network if run.network in BUILT_IN else "", "epochs": str(run.epochs_asked)}
+    init = str(config["init"].get("run") or "") if isinstance(config.get("init"), dict) else ""
+    if _learnt_from_takeovers(config):
+        log = _takeovers(bench, run.sessions, init)
+        if not log or _changed(settings, TrainConfig()).keys() - _OF_INIT:
+            return ""
+        return urlencode({"start": "learn", "run": init, "takeovers": log, "epochs": settings.epochs})
+    values = {"network": run.network, "epochs": str(run.epochs_asked)}
     values |= {"recipe": run.recipe, "targets": " ".join(run.targets), "seed": str(run.seed)}
-    usual = asdict(TrainConfig.of(settings.recipe))
-    for name, value in asdict(settings).items():
-        if name in _REPEATED and value != usual[name]:
-            values[name] = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    for name, value in _changed(settings, TrainConfig.of(settings.recipe)).items():
+        values[name] = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
     if str(config.get("index")).endswith(f"index-{card.path.name}"):  # of --on
         values["on"] = " ".join(run.sessions)
-    match config.get("init"):
-        case {"run": str(init)}:
-            values["init"] = init
+    values["init"] = init
     return urlencode({"start": "train", **{name: value for name, value in values.items() if value}})
+
+
+def _changed(settings: TrainConfig, usual: TrainConfig) -> dict[str, Any]:
+    """The settings that differ from the usual ones, without those of the machine."""
+    before = asdict(usual)
+    return {
+        name: value for name, value in asdict(settings).items() if value != before[name] and name not in _MACHINES
+    }
+
+
+def _learnt_from_takeovers(config: Mapping[str, Any]) -> bool:
+    match config.get("data"):
+        case {"settings": {"drives": "takeovers"}}:
+            return True
+    return False
+
+
+def _takeovers(bench: Workbench, sessions: Sequence[str], init: str) -> str:
+    """The drive among the sessions of a run from which its first run `init` has not learnt; "" if there is not
+    exactly one."""
+    earlier = next((card.summary for card in bench.runs.cards(PATIENCE_S) if card.name == init), None)
+    added = set(sessions) - set(earlier.sessions) if earlier is not None else set()
+    drives = [log for log in bench.folders.logs("drives").values() if log.name.removesuffix(".mcap") in added]
+    return as_word(drives[0]) if len(drives) == len(added) == 1 else ""
 
 
 def _is_of_index(run: Path, index: Path) -> bool:
     now = index_checksum(index)
     return bool(now) and origin_of(run).index == now
-
-
-def _settings(path: Path) -> dict[str, str]:
-    try:
-        return run_settings(path)
-    except UserError:  # changed meanwhile
-        return {}
 
 
 def _sessions(pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str]]:

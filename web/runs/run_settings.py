@@ -29,7 +29,12 @@ _DEEPEST: Final = 4
 def run_settings(run: Path) -> dict[str, str]:
     """The settings of the training and its data in a run's config.json, by dotted name. Raises RunError if it is
     unreadable."""
-    config = load_config(run)
+    return settings_of(load_config(run))
+
+
+def settings_of(config: Mapping[str, Any]) -> dict[str, str]:
+    """`run_settings` of a config."""
+    config = dict(config)
     data = config.get("data")
     if isinstance(data, dict):
         kept = {name: data[name] for name in _DATA if name in data}
