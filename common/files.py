@@ -87,17 +87,19 @@ def _name_unless_taken(part: Path, path: Path) -> None:
     try:
         os.link(part, path)  # unlike rename, link fails if the name exists, also if another process just wrote it
     except FileExistsError:
-        raise UserError(
-            f"{path} was written by another process at the same time: rename {part}, the new file, to keep it"
-        ) from None
+        raise _taken(path, part) from None
     except OSError:  # a file system without hard links (FAT, some network shares)
         if path.exists() or path.is_symlink():
-            raise UserError(
-                f"{path} was written by another process at the same time: rename {part}, the new file, to keep it"
-            ) from None
+            raise _taken(path, part) from None
         part.rename(path)
     else:
         part.unlink()
+
+
+def _taken(path: Path, part: Path) -> UserError:
+    return UserError(
+        f"{path} was written by another process at the same time: rename {part}, the new file, to keep it"
+    )
 
 
 def _sync_folder(folder: Path) -> None:

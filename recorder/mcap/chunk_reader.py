@@ -58,17 +58,17 @@ class ChunkReader:
         number = np.searchsorted(self._starts_and_none[:-1], offset, side="right") - 1
         return np.where(chunk == UNCOMPRESSED, self._starts_and_none[number], chunk)
 
-    def records_around(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> tuple[int, bytes]:
-        """The records of the chunk that has these bytes, and their offset in the file, or 0 if they are unpacked.
-        Raises as `read`."""
-        if chunk != UNCOMPRESSED:
-            self.read(offset, length, chunk)
-            return 0, self._unpacked_records(chunk)
+    def records_around(self, offset: int, length: int, unpacked: int = UNCOMPRESSED) -> tuple[int, bytes]:
+        """The records of the chunk that has these bytes, and their offset in the file; 0 for the records of the
+        compressed chunk that begins at byte `unpacked`. Raises as `read`."""
+        if unpacked != UNCOMPRESSED:
+            self.read(offset, length, unpacked)
+            return 0, self._unpacked_records(unpacked)
         number = self._number_of(offset, length)
-        found = self._chunks[number]
-        records = self._unpacked_records(found.start) if self._file.is_remote else self._file.records(found)
+        chunk = self._chunks[number]
+        records = self._unpacked_records(chunk.start) if self._file.is_remote else self._file.records(chunk)
         self._is_verified[number] = True
-        return self._file.records_at(found), records
+        return self._file.records_at(chunk), records
 
     def _number_of(self, offset: int, length: int) -> int:
         number = bisect.bisect_right(self._starts, offset) - 1

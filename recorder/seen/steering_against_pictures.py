@@ -34,7 +34,7 @@ _USUAL: Final = 0.35
 the whole session (`recorder.seen.steering_lag`) would suffer from a sixth of wrong labels."""
 _MOST: Final = 0.4
 """The least correlation of a mirrored part and of the rest, with opposite signs. Correct sessions have at most
-0.15; recordings of people of which half was mirrored have 0.43 to 0.9."""
+0.15, recordings of people with a mirrored half 0.43 to 0.9."""
 _PARTS: Final = 20
 
 

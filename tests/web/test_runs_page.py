@@ -167,6 +167,15 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
         assert "measured after the first epoch; bc-train --resume killed" in page(bench, "killed")
 
 
+def train_again(project: Path, run: str) -> str:
+    """The command of the form to which *Train again* leads."""
+    with served(project) as bench:
+        wait_until(lambda: "Train again" in bench.get(f"/runs/{run}/top").text)
+        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get(f"/runs/{run}/top").text)
+        values = dict(parse_qsl(html.unescape(again)))
+        return bench.get(f"/jobs.command?{urlencode({'form': values.pop('start'), **values})}").text
+
+
 def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     """Left out, a setting would become the default, without a word."""
     flags = {"recipe": "altered", "light": "as-seen", "rate": 3e-4, "picture_px": [64, 48], "crop_rows": [0, 20]}
@@ -175,11 +184,8 @@ def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     config = json.loads((run / "config.json").read_text())
     config |= {"index": "index-mine", "init": {"run": "first"}}
     (run / "config.json").write_text(json.dumps(config))
-    with served(tmp_path) as bench:
-        wait_until(lambda: "Train again" in bench.get("/runs/mine/top").text)
-        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get("/runs/mine/top").text)
-        values = dict(parse_qsl(html.unescape(again)))
-        command = bench.get(f"/jobs.command?{urlencode({'form': 'train', **values})}").text
+    command = train_again(tmp_path, "mine")
+    assert command.startswith("bc-train")
     for words in ("--light=as-seen", "--rate=0.0003", "--picture-px 64 48", "--on sunday monday", "--init=first"):
         assert words in command
     for words in ("--crop-rows 0 20", "--answers=as-learnt", "--average-steps=1", "--alter-each-epoch move zoom"):
@@ -195,11 +201,7 @@ def test_train_again_repeats_the_takeovers(tmp_path: Path) -> None:
     config |= {"index": "index-second", "init": {"run": "first"}}
     config["data"] |= {"logs": {"sunday": {}, "monday": {}, "helped": {}}, "settings": {"drives": "takeovers"}}
     (run / "config.json").write_text(json.dumps(config))
-    with served(tmp_path) as bench:
-        wait_until(lambda: "Train again" in bench.get("/runs/second/top").text)
-        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get("/runs/second/top").text)
-        values = dict(parse_qsl(html.unescape(again)))
-        command = bench.get(f"/jobs.command?{urlencode({'form': values.pop('start'), **values})}").text
+    command = train_again(tmp_path, "second")
     assert command.startswith("bc-train --init=first --takeovers=")
     assert "helped.mcap --epochs=3" in command
     assert "--on" not in command
