@@ -33,7 +33,7 @@ from common import UserError
 from dataset import IndexConfig, build_index
 from dataset.picture_spec import ORIGINAL
 from model.adam import Adam
-from model.config import TrainConfig
+from model.config import Precision, TrainConfig
 from model.device import choose_machine
 from model.network.original import SteeringNetwork
 from model.runs.training_progress import Epoch, Step
@@ -124,16 +124,21 @@ def print_gpu(folder: Path) -> None:
     index = made_up_index(folder / "made_up", PICTURES, IndexConfig(balance=False, validation_share=0.0))
     print(f"{torch.cuda.get_device_name()}, PyTorch {torch.__version__}\n")
     print("| | all in all | once loaded | learning alone | samples/s |\n|---|---|---|---|---|")
-    for precision in ("bfloat16", "float32"):
+    trainings: tuple[tuple[str, Precision], ...] = (
+        ("bfloat16, the process' first training", "bfloat16"),
+        ("bfloat16", "bfloat16"),
+        ("float32 (TensorFloat-32)", "float32"),
+    )
+    for number, (name, precision) in enumerate(trainings):
         clock, start_s = Clock(), time.perf_counter()
         config = TrainConfig(device="cuda", precision=precision)
-        train(index, folder / precision, config, [clock], show_progress=False)
+        train(index, folder / str(number), config, [clock], show_progress=False)
         total_s = time.perf_counter() - start_s
         later_s = clock.done_s[-1] - clock.done_s[0]
         loaded_s = clock.epochs[0].seconds + later_s
         learning_s = sum(epoch.seconds for epoch in clock.epochs)
         rate = 2 * PICTURES * (len(clock.epochs) - 1) / later_s
-        row = f"{precision} | {total_s:.1f} s | {loaded_s:.1f} s | {learning_s:.1f} s | {rate:,.0f}"
+        row = f"{name} | {total_s:.1f} s | {loaded_s:.1f} s | {learning_s:.1f} s | {rate:,.0f}"
         print(f"| {row} |", flush=True)
 
 

@@ -67,7 +67,7 @@ class Drawn:
     colours: Floats | None  # (N, 3, 4): from (blue, green, red, 1) to the new colours
     shade: Floats | None  # (N,): share of the brightness in the shadow; 1: no shadow
     strip: NDArray[np.int32]  # (N, 4, 2): the corners of the shadow, px
-    box: list[list[int]] | None  # N times left, top, right, bottom in px, and the level; left = right: no box
+    box: NDArray[np.int64] | None  # (N, 5): left, top, right, bottom in px, and the level; left = right: no box
     noise: Floats | None  # (N,): standard deviation, levels
     piece: Numbers  # (N,): the piece of the noise
 
@@ -117,7 +117,7 @@ class EpochAlterations:
             start = (0.5 + 0.5 * drawn[:, 3:5]) * ((width, height) - length)
             end = np.where(drawn[:, :1] < -1 / 3, start + length, start)
             level = 127.5 + 127.5 * drawn[:, 5:]
-            box = np.concatenate([start, end, level], axis=1).astype(np.int64).tolist()
+            box = np.concatenate([start, end, level], axis=1).astype(np.int64)
         noise, piece = None, np.zeros(len(samples), np.int64)
         if (drawn := by_name.get("noise")) is not None:
             noise = _between((0, _NOISE), drawn[:, 0])
@@ -205,7 +205,7 @@ def _alter(picture: Image, drawn: Drawn, number: int) -> None:
         cv2.fillConvexPoly(mask, drawn.strip[number], 1)
         cv2.copyTo(cv2.convertScaleAbs(picture, alpha=shade), mask, picture)
     if drawn.box is not None:
-        left, top, right, bottom, level = drawn.box[number]
+        left, top, right, bottom, level = drawn.box[number].tolist()
         if left < right:
             picture[top:bottom, left:right] = level
     if drawn.noise is not None:

@@ -204,7 +204,7 @@ def load(
     """Load the samples of a split of `index`, in batches of `batch`.
 
     - `budget_bytes`: memory for decoded crops (49 KB each)
-    - `threads`: threads that decode; 0: one for each core, at most four
+    - `threads`: threads that decode; 0: one for each core, at most eight
     - `driving_view`: only the samples of `Samples.driving_view`
     - `seen`: the network's input
     - `targets`: the numbers that the network learns

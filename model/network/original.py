@@ -10,7 +10,7 @@ from typing import Final
 
 from torch import nn
 
-from model.network.faster_layers import OneDnnLayers
+from model.network.faster_layers import FasterLayers
 from model.network.picture_network import LayerChain, glorot_weights
 
 PARAMETERS: Final = 5_022_327
@@ -28,7 +28,7 @@ class SteeringNetwork(LayerChain):
             pooling: list[nn.Module] = [nn.MaxPool2d(2)] if pool else []
             return [nn.Conv2d(inputs, outputs, kernel), *pooling, nn.ReLU()]
 
-        self.features = OneDnnLayers(
+        self.features = FasterLayers(
             *convolution(3, 24, 5, pool=True),  # 128 -> 124 -> 62
             *convolution(24, 36, 5, pool=True),  # 62 -> 58 -> 29
             *convolution(36, 48, 5, pool=True),  # 29 -> 25 -> 12

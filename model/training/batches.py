@@ -9,15 +9,16 @@ the same as a CPU.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from dataset import Batch, Loader
-from dataset.loader.crops import count_crops, different_crops
+from dataset.epoch_alterations import Drawn
+from dataset.loader.crops import Numbers, count_crops, different_crops
 from model.evaluation.predict import as_input
 from model.training.altered_on_device import AlteredOnDevice
 
@@ -131,20 +132,34 @@ class DeviceBatches:
             self._crops.index_copy_(0, torch.from_numpy(numbers).to(device), torch.from_numpy(crops).to(device))
             self._is_decoded[numbers] = True
             advance(int(np.count_nonzero(is_new_picture[numbers])))
+        self._thread = ThreadPoolExecutor(1)
+        self._ahead: dict[tuple[int, int], Future[tuple[list[Numbers], Drawn | None]]] = {}
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
-        parts = [part[self._is_decoded[self._crop[part]]] for part in self._loader.parts(epoch, start_batch)]
-        return self._epoch(epoch, parts)
+        of_epoch = self._ahead.pop((epoch, start_batch), None) or self._prepared(epoch, start_batch)
+        return self._batches(*of_epoch.result(), epoch)
 
-    def _epoch(self, epoch: int, parts: list[NDArray[np.int64]]) -> Iterator[tuple[Tensor, Tensor]]:
+    def _prepared(self, epoch: int, start_batch: int = 0) -> Future[tuple[list[Numbers], Drawn | None]]:
+        """The samples of each batch, and the alterations of them all, which a GPU need not wait for if another
+        thread draws them an epoch ahead."""
+        return self._thread.submit(self._draw, epoch, start_batch)
+
+    def _draw(self, epoch: int, start_batch: int) -> tuple[list[Numbers], Drawn | None]:
+        parts = [part[self._is_decoded[self._crop[part]]] for part in self._loader.parts(epoch, start_batch)]
+        alterations = self._loader.alterations
+        if alterations is None:
+            return parts, None
+        height, width, _ = self._loader.seen.shape
+        return parts, alterations.draw(epoch, _joined(parts), height, width)
+
+    def _batches(self, parts: list[Numbers], drawn: Drawn | None, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
         # Send all data of the epoch at once: a copy in its middle would make the host wait for the GPU.
-        samples = np.concatenate([*parts, np.zeros(0, np.int64)])
+        samples = _joined(parts)
         columns = self._crop[samples], self._flip[samples], self._loader.labels(samples, epoch)
         crop, flip, labels = (torch.from_numpy(column).to(self._device) for column in columns)
-        altered = None
-        if (alterations := self._loader.alterations) is not None:
-            height, width, _ = self._loader.seen.shape
-            altered = AlteredOnDevice(alterations.draw(epoch, samples, height, width), height, width, self._device)
+        height, width, _ = self._loader.seen.shape
+        altered = None if drawn is None else AlteredOnDevice(drawn, height, width, self._device)
+        self._ahead = {(epoch + 1, 0): self._prepared(epoch + 1)}
         end = 0
         for part in parts:
             start, end = end, end + len(part)
@@ -153,6 +168,10 @@ class DeviceBatches:
             if altered is not None:
                 pictures = altered.pictures(pictures, start)
             yield pictures.permute(0, 3, 1, 2), labels[start:end]
+
+
+def _joined(parts: list[Numbers]) -> Numbers:
+    return np.concatenate([*parts, np.zeros(0, np.int64)])
 
 
 def _free_bytes(device: torch.device) -> int:

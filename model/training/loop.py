@@ -35,7 +35,7 @@ from model.training.batches import make_batches
 from model.training.listeners import Listeners
 from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
-from model.training.step import training_step
+from model.training.training_steps import TrainingSteps
 from model.training.validation import Validation
 
 STEP_BATCHES: Final = 10
@@ -108,8 +108,9 @@ class TrainingLoop:
         self.network = network.build().to(machine.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = Adam(self.network.parameters(), config.rate)
-        self.target_weights = (
-            torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
+        weights = torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
+        self.steps = TrainingSteps(
+            self.network, self.optimizer, machine, config.batch, weights, can_record=network.code is None
         )
         self._saved_s = time.monotonic()
 
@@ -199,16 +200,8 @@ class TrainingLoop:
         """Learn the batch with the number `batch`, from 1. Returns the sum of its squared errors."""
         config = self.config
         torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch))
-        squared_error = training_step(
-            self.network,
-            self.optimizer,
-            pictures,
-            labels,
-            dtype=self.machine.dtype,
-            micro_batch=self.machine.micro_batch,
-            batch=min(config.batch, len(self.loader) - (batch - 1) * config.batch),
-            weights=self.target_weights,
-        )
+        samples = min(config.batch, len(self.loader) - (batch - 1) * config.batch)
+        squared_error = self.steps.take(pictures, labels, samples)
         self.averaged.update(self.network, (self.position.epoch - 1) * self.loader.batches + batch)
         return squared_error
 

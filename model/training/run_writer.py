@@ -51,7 +51,7 @@ class RunWriter:
 
     def keep_best(self, epoch: int, network: PictureNetwork, answers: AnswerScale) -> None:
         """Copy the network's weights, with their answer scale, to save them later as those of the best epoch."""
-        weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
+        weights = {name: tensor.detach().to("cpu", copy=True) for name, tensor in network.state_dict().items()}
         self._unsaved_best = epoch, weights, answers
 
     @property

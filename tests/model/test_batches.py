@@ -80,7 +80,7 @@ def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path) -> None
     rows = rows_of(index)
     with load(index, batch=BATCH, seed=5) as loader:
         batches = DeviceBatches(loader, CPU)
-        for epoch in (1, 2):
+        for epoch in (1, 2, 4):
             parts = loader.parts(epoch)
             expected = loader.epoch(epoch)
             for part, batch, (pictures, steering) in zip(parts, expected, batches.epoch(epoch), strict=True):
@@ -173,8 +173,8 @@ def test_a_device_alters_as_the_loader_does(index: Path) -> None:
     """But for rounding, and for pixels at the edge of a shadow."""
     with load(index, batch=BATCH, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
         device = DeviceBatches(loader, CPU)
-        for start in (0, 2):
-            pairs = zip(loader.epoch(2, start), device.epoch(2, start), strict=True)
+        for epoch, start in ((1, 0), (2, 0), (2, 2), (4, 0)):
+            pairs = zip(loader.epoch(epoch, start), device.epoch(epoch, start), strict=True)
             for batch, (pictures, steering) in pairs:
                 assert pictures.dtype == torch.uint8
                 assert pictures.is_contiguous(memory_format=torch.channels_last)

@@ -1,18 +1,25 @@
-"""A step of the optimizer is the same in parts as at once, and in bfloat16 nearly what it is in float32."""
+"""A step of the optimizer is the same in parts as at once, with other layers and replayed, and nearly the same in
+bfloat16."""
 
 from __future__ import annotations
 
 import copy
 import functools
+from collections.abc import Callable
 
 import pytest
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn import functional
 
 from model.adam import Adam
+from model.device import Machine
+from model.network.faster_layers import FasterLayers, pooled_convolution
 from model.network.original import SteeringNetwork
+from model.network.small import SmallNetwork
+from model.training import training_steps
 from model.training.step import training_step
+from model.training.training_steps import TrainingSteps
 
 
 @functools.cache
@@ -89,3 +96,62 @@ def test_bfloat16_learns_what_pytorchs_own_layers_do_bit_for_bit() -> None:
         reference.step()
     for mine, other in zip(network.parameters(), plain.parameters(), strict=True):
         assert torch.equal(mine, other)
+
+
+@pytest.mark.parametrize(
+    ("channels", "kernel", "height", "width"), [(3, 5, 128, 128), (24, 5, 29, 62), (2, 3, 8, 5)]
+)
+def test_a_wide_convolution_is_a_convolution_and_its_pooling(
+    channels: int, kernel: int, height: int, width: int
+) -> None:
+    torch.manual_seed(4)
+    layer = nn.Conv2d(channels, 4, kernel)
+    inputs = torch.randn(2, channels, height, width, requires_grad=True)
+    expected, pooled = functional.max_pool2d(layer(inputs), 2), pooled_convolution(layer, inputs)
+    torch.testing.assert_close(pooled, expected)
+    weights = torch.randn_like(expected)
+    learnt = [inputs, *layer.parameters()]
+    gradients = [torch.autograd.grad((outputs * weights).sum(), learnt) for outputs in (pooled, expected)]
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
+
+
+def test_wide_convolutions_see_what_the_layers_of_the_network_see() -> None:
+    torch.manual_seed(4)
+    features, inputs = SteeringNetwork().features, torch.randn(2, 3, 128, 128)
+    assert isinstance(features, FasterLayers)
+    torch.testing.assert_close(features.with_wider_convolutions(inputs), features(inputs))
+
+
+def steps_taken(monkeypatch: pytest.MonkeyPatch, *, can_record: bool) -> tuple[list[float], Tensor, int]:
+    """Squared errors and last weights of seven batches, the third and the last one smaller; and how many times a
+    step was recorded. A processor takes the place of the GPU: it calculates what the GPU would replay."""
+    recorded = []
+
+    def record(calculate: Callable[[], Tensor]) -> tuple[Callable[[], None], Tensor]:
+        result = torch.zeros(())
+        recorded.append(result)
+
+        def replay() -> None:
+            result.copy_(calculate())
+
+        return replay, result
+
+    monkeypatch.setattr(training_steps, "record", record)
+    torch.manual_seed(5)
+    network = SmallNetwork()
+    machine = Machine(torch.device("cuda"), torch.float32, 4)
+    steps = TrainingSteps(network, Adam(network.parameters(), 1e-3), machine, 4, None, can_record=can_record)
+    height, width, _ = SmallNetwork.PICTURE.shape
+    errors = []
+    for size in (4, 4, 3, 4, 4, 4, 2):
+        pictures = torch.randint(0, 256, (size, 3, height, width), dtype=torch.uint8)
+        errors.append(float(steps.take(pictures, torch.rand(size), batch=min(size + 1, 4))))
+    return errors, torch.cat([parameter.detach().ravel() for parameter in network.parameters()]), len(recorded)
+
+
+def test_replayed_steps_learn_what_single_ones_learn(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors, weights, recorded = steps_taken(monkeypatch, can_record=True)
+    expected, learnt, none = steps_taken(monkeypatch, can_record=False)
+    assert (recorded, none) == (1, 0)
+    assert errors == expected
+    assert torch.equal(weights, learnt)
