@@ -100,8 +100,10 @@ class Drawing:
 
     def send_numbers(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
         """Draw messages of one topic: log times (N,) in ns, and values (N,) of each of its `number_fields`."""
-        for curve, curve_ns, values in curve_values(topic, time_ns, numbers):
+        curves = list(curve_values(topic, time_ns, numbers))
+        for curve, curve_ns, values in curves:  # first: arcs are much larger
             self.curve(curve, curve_ns, values)
+        for curve, curve_ns, values in curves:
             if curve.entity in ARCS:
                 self.arcs(curve, curve_ns, values)
         if topic == VEHICLE:
