@@ -1,7 +1,7 @@
 """The optimizer Adam of Kingma and Ba 2015 (arXiv 1412.6980), with its usual moments.
 
-It uses PyTorch's arithmetic, and PyTorch's names for the state of each parameter. `torch.optim.Adam` would load
-PyTorch's compiler with the first step, which the toolkit does not use: over a second in every training.
+Arithmetic and names of the state are PyTorch's. But the first step of `torch.optim.Adam` loads PyTorch's compiler,
+which the toolkit does not use: over a second in every training.
 """
 
 from __future__ import annotations

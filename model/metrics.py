@@ -76,7 +76,7 @@ class Measures:
     @property
     def driving_error(self) -> float:
         """The balanced RMSE divided by that of always predicting the mean, plus 1 - correlation. 0 is best; always
-        predicting the mean has 2. Of all measures, it predicts best how often a network leaves the road
+        predicting the mean has 2. It predicts best how often a network leaves the road
         (docs/studies/which-number.md)."""
         correlation = 0.0 if math.isnan(self.network.correlation) else self.network.correlation
         mean_rmse_deg = self.mean_balanced_rmse_deg or 1.0  # 0 if the steering is constant

@@ -126,12 +126,11 @@ class Pilot:
         return self.answer(crop).steering
 
     def warm_up(self) -> None:
-        """Prepare this process for driving: the first predictions are slow, and should not fall into a drive.
+        """Prepare this process for driving: make the first predictions, which are slow.
 
-        From now on, the process computes on one thread. On two threads, a picture is a fifth faster. But on a busy
-        machine, every layer waits for the slower thread (one answer in a hundred takes 20 ms). The last bits of
-        the steering would also depend on the number of cores. A GPU replays its recorded work on a picture if it
-        can.
+        From now on, the process computes on one thread. Two threads take a fifth less time for a picture. But on a
+        busy machine, every layer waits for the slower one (one answer in a hundred takes 20 ms), and the last bits
+        of the steering depend on the number of threads. A GPU replays its recorded work on a picture if it can.
         """
         keep_freed_memory()
         torch.set_num_threads(1)

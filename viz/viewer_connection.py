@@ -67,8 +67,8 @@ def check_viewer(url: str) -> str:
 
 
 def set_time(url: str, recording: rr.RecordingStream, at_s: float, stop: threading.Event) -> None:
-    """Wait until the viewer at `url` has the data, then set its time cursor to `at_s` seconds after the start, and
-    pause it. Returns early if `stop` is set. A server for browsers has no cursor: its layout plays in a loop."""
+    """Wait until the viewer at `url` has the data, then pause it at `at_s` seconds after the start. Returns early
+    if `stop` is set. A server for browsers cannot be paused: its layout plays in a loop."""
     from rerun.experimental import ViewerClient
 
     client = ViewerClient.connect(url)

@@ -1,12 +1,11 @@
 """Confidence intervals of measures over frames that depend on their neighbours in time: a paired block bootstrap.
 
-Neighbouring frames show the same stretch of road, so their errors are alike. Treated as independent, they give far
-too narrow intervals. Whole blocks are drawn instead, with replacement (Carlstein 1986, "The use of subseries
+Neighbouring frames show the same stretch of road, so their errors are alike. As independent frames, they would
+give far too narrow intervals. So whole blocks are drawn, with replacement (Carlstein 1986, "The use of subseries
 values"; Künsch 1989, "The jackknife and the bootstrap for general stationary observations"). Both networks are
 measured on the same draw, so the difficulty of a block cancels out.
 
-A measure, for example the RMSE, is a function of sums over frames. Each block is a row of sums, and a draw adds up
-rows: each frame is read once.
+A measure such as the RMSE is a function of sums over frames. Each block is a row of sums, and a draw adds up rows.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ def intervals(sums: Floats, statistic: Statistic, confidence: float, draws: int 
 def _tail(blocks: int, confidence: float) -> float:
     """The share of draws beyond each end of the interval: less than (1 - confidence) / 2.
 
-    With few blocks, plain percentiles are too narrow: by the factor sqrt((n - 1) / n), and because Student's t is
-    wider than the normal distribution. These are the expanded percentiles of Hesterberg 2015, "What Teachers
-    Should Know About the Bootstrap", section 5.2.
+    With n blocks, intervals between plain percentiles are too narrow, by the factor sqrt((n - 1) / n) and by the
+    ratio of Student's t to the normal distribution. These are the expanded percentiles of Hesterberg 2015, "What
+    Teachers Should Know About the Bootstrap", section 5.2.
     """
     quantile = _student_quantile(1 - (1 - confidence) / 2, blocks - 1)
     return _NORMAL.cdf(-math.sqrt(blocks / (blocks - 1)) * quantile)

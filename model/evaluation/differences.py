@@ -1,8 +1,8 @@
 """The differences between two networks, measure by measure, with confidence intervals.
 
-B is worse than A if, for any measure, the whole confidence interval of the difference is on the worse side, by
-more than the tolerance. The intervals are widened so that all hold together (Bonferroni). If B is as good as A, at
-most one of forty comparisons calls it worse, however many measures there are.
+B is worse than A if the whole confidence interval of any measure's difference is worse than the tolerance. All
+intervals together hold with 95 % confidence (Bonferroni). So with any number of measures, about one of forty
+comparisons of equally good networks calls B worse.
 """
 
 from __future__ import annotations

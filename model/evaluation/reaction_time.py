@@ -59,7 +59,7 @@ def _steering_later(frames: pa.Table, delay_s: float) -> NDArray[np.float64]:
     """For each frame of a session, the steering of the frame nearest to `delay_s` seconds later, and that frame's
     delay in s: (2, N). NaN beyond the next pause.
 
-    Steering interpolated between frames would have less noise, and so a larger correlation at any delay but 0.
+    It is not interpolated between frames: at delays other than 0, it would have less noise than at 0.
     """
     time_ns, recorded = frames["log_time_ns"].to_numpy(), frames["recorded"].to_numpy()
     later_ns = time_ns + round(delay_s * 1e9)

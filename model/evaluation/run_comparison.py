@@ -151,8 +151,8 @@ def measures_of_sums(sums: Floats) -> Floats:
     """`MEASURES`, and the RMSE of each further target, from sums of blocks: (..., K) to (..., 4 or more). NaN
     where a measure has no frames.
 
-    A network with constant answers has the correlation 0: it is worse than any that follows the road. If the
-    recorded steering is constant, the correlation is NaN.
+    Constant answers have the correlation 0, which is worse than that of any network that follows the road.
+    Constant recorded steering has NaN.
     """
     count, squares, turns, turn_errors, p, r, pp, rr, pr = np.moveaxis(sums[..., :9], -1, 0)
     in_bin, bin_squares = sums[..., 9 : 9 + BINS], sums[..., 9 + BINS : 9 + 2 * BINS]

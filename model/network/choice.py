@@ -85,8 +85,7 @@ class NetworkChoice:
         """Build a network and let it answer pictures. Returns the number of its parameters.
 
         Raises RunError if the answers are not one finite number for each picture and target, or if a run cannot
-        store the weights. PyTorch's meta device is not used: its first answer takes a second of imports, a real
-        answer of the original network a twentieth of that.
+        store the weights. PyTorch's meta device would import for a second; a real answer takes a twentieth of it.
         """
         with torch.random.fork_rng(devices=[]):
             network = self.build()

@@ -14,8 +14,8 @@ from model.network.picture_network import PictureNetwork
 def answers_and_features(network: PictureNetwork, inputs: Tensor) -> tuple[Tensor, Tensor]:
     """The answers to inputs (N, channels, height, width), and features (N, D).
 
-    The features are the input of the second fully connected layer, because later layers hold little more than the
-    steering. With one such layer: its input. Without one: the answers.
+    The features are the input of the second fully connected layer; of the first if there is only one; the
+    answers if there is none. Later layers hold little more than the steering.
     """
     layer_inputs: list[Tensor] = []
 

@@ -108,7 +108,7 @@ def targets_of(answers: Tensor, pictures: int, outputs: int = 1) -> Tensor:
 def glorot_weights(network: nn.Module) -> None:
     """Initial weights after Glorot and Bengio 2010, as in Keras, which the original project used.
 
-    PyTorch's default weights are smaller: with them, a network answers nearly the same to every picture during the
+    PyTorch's default weights are smaller: with them, a network answers nearly the same to every picture in the
     whole first epoch.
     """
     for layer in network.modules():

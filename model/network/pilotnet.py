@@ -1,8 +1,8 @@
 """PilotNet: the network of Bojarski et al. 2016 (arXiv 1604.07316), figure 4, as printed; 252,219 parameters.
 
 Strided convolutions, no pooling, no dropout. The figure has 1164 flattened values, but 64 planes of 1 x 18 are
-1152. With 1152, the network has the 250 thousand parameters and 27 million connections of the text. The paper does
-not state the activations and the initial weights; they are those of the original project's network.
+1152, which gives the 250 thousand parameters and 27 million connections of the text. The paper states neither
+activations nor initial weights: they are those of the original project's network.
 """
 
 from __future__ import annotations

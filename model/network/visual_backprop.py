@@ -1,16 +1,14 @@
 """Attention maps of a network by VisualBackProp, after Bojarski et al. 2016 (arXiv 1611.05418).
 
-The output of each convolution layer after its ReLU is averaged over its channels. From the last layer to the
-first, a deconvolution with the layer's kernel size and stride, and with all weights one, enlarges the map to the
-size of the layer before. The map is then multiplied by that layer's average. The first layer's deconvolution
-enlarges the map to the size of the picture.
+The output of each convolution's ReLU is averaged over its channels. The map begins as the last layer's average.
+From layer to layer, a deconvolution with that layer's kernel and stride, and ones as weights, enlarges the map,
+which is then multiplied by the average of the layer before. The first layer enlarges it to the picture's size.
 
-The paper's network has strides, the toolkit's original network has pooling. Pooling is undone before its
-convolution, as a deconvolution with ones of its kernel size and stride: a value goes to every pixel of its window.
-Pixels at an edge that pooling left out get 0.
+The paper's network has strides, the toolkit's original network has pooling. A deconvolution with ones undoes
+pooling, too: a value goes to every pixel of its window. Pixels at an edge that pooling left out get 0.
 
 Hooks find the layers during a pass. If the layers are not a chain (a residual network adds shortcuts), the map
-uses one average of each size, that of the last ReLU, and bilinear enlargement instead of deconvolution.
+is enlarged bilinearly, and multiplied by the average of the last ReLU of each size.
 """
 
 from __future__ import annotations

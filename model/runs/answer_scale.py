@@ -1,12 +1,11 @@
 """The answer scale: converts steering learnt from balanced samples to steering of natural driving.
 
-Balanced samples have far more hard steering than the road. The network therefore answers a small deviation as if
-it were a bend. It answers hairpins correctly. So small answers must shrink and large ones must stay, which a scale
-alone cannot do. Natural steering is
+Balanced samples have far more hard steering than the road. So the network answers a small deviation as if it were
+a bend, but hairpins correctly. Small answers must shrink, and large ones stay. Natural steering is
 
     scale * learnt + curve * learnt * |learnt| + offset
 
-The weights of a run stay as learnt. The file of the weights keeps the three numbers, and driving applies them.
+A run's weights stay as learnt. Their file keeps the three numbers, and driving applies them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Weights and checkpoints that carry their own checksum.
 
 The metadata of the safetensors file hold `sha256`: the SHA-256 of the whole file with these 64 characters as
-zeros. A checksum in another file would not match if the computer dies between the two writes. In the same file,
-both are replaced in one step and copied together.
+zeros. In one file, weights and checksum are replaced in one step: they match after a crash, and in copies.
 """
 
 from __future__ import annotations

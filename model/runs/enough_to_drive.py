@@ -1,9 +1,9 @@
 """Whether a driving error is small enough to drive, and how certain that is (docs/studies/which-number.md).
 
 82 networks predicted recordings that none of them had learnt from. Then each drove a quarter lap at 15 mph on
-lake, mountain and five random roads. A network stayed on the road if it needed no intervention on any of the
-roads. On other roads, the result is less certain than an interval says: all roads are built in, the networks are
-alike (few recipes and seeds), and the edges were chosen with the same networks.
+lake, mountain and five random roads. It stayed on the road if it needed no intervention on any of them. The
+intervals are too narrow for other roads: all roads are built in, the networks are alike, and they also gave the
+edges.
 """
 
 from __future__ import annotations
@@ -64,11 +64,10 @@ class Drivable:
 
 
 def drivable(driving_error: float, hands: Collection[Hand], *, is_unseen: bool, recordings: int) -> Drivable:
-    """Judge an error on rows of `recordings` that were steered by `hands`. With several or no hands, all must
-    agree.
+    """Judge a driving error on rows that `hands` steered in that many recordings. With several or no hands, the
+    results for all must agree.
 
-    Without `is_unseen`, the network has learnt other rows of the same drives, so its errors are smaller. A small
-    error is then uncertain.
+    Without `is_unseen`, the network has learnt other rows of the same drives, so a small error is uncertain.
     """
     bands = {hand: _band(driving_error, hand) for hand in (hands or STUDY)}
     if len({STUDY[hand].index(band) for hand, band in bands.items()}) > 1:
@@ -94,8 +93,7 @@ def _band(driving_error: float, hand: Hand) -> Band:
 
 
 def wilson_interval(count: int, total: int) -> tuple[float, float]:
-    """The 95 % interval of the share `count` / `total` (E. B. Wilson 1927). It is within 0..1 for all and none,
-    too."""
+    """The 95 % interval of the share `count` / `total` (E. B. Wilson 1927), always within 0..1."""
     z = 1.96
     share, square = count / total, z * z / total
     middle = (share + square / 2) / (1 + square)

@@ -35,7 +35,7 @@ class KeptResult(msgspec.Struct, frozen=True):
 
 
 def keep_result(run: Path, way: Way, result: Mapping[str, Any]) -> None:
-    """Add a result of the run's best weights, or of its last ones (NAME/last). Raises RunWriteError if the folder
+    """Add a result of the run's kept weights, or of its last ones (NAME/last). Raises RunWriteError if the folder
     cannot be written to."""
     now = datetime.now(UTC).isoformat(timespec="seconds")
     kept = KeptResult(now, way, weights_checksum(run), dict(result))

@@ -1,6 +1,6 @@
 """The run folder: weights, their provenance and the history of the training. Nothing in it is ever unpickled.
 
-runs/NAME/model.safetensors   the weights of the best epoch, which drive; with their checksum, see checksums.py
+runs/NAME/model.safetensors   the weights of the kept epoch, which drive; with their checksum, see checksums.py
 runs/NAME/config.json         everything needed to reproduce the run and to drive with it
 runs/NAME/network.py          the code of the network, if it is a user's own file
 runs/NAME/metrics.jsonl       one line an epoch

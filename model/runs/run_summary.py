@@ -122,9 +122,9 @@ def judge(
     sessions: Sequence[str] = (),
     hands: Mapping[str, Hand] = MappingProxyType({}),
 ) -> Verdict:
-    """The verdict on a run, from the numbers in its folder. If `measured` is given, it judges these errors on rows
-    of `sessions`; `hands` says how those are steered that the run has not learnt from. Raises RunError if the run
-    cannot be read."""
+    """The verdict on a run, from the numbers in its folder, or from the errors `measured` on rows of `sessions`.
+    `hands` says how sessions that are not in the run's index were steered. Raises RunError if the run cannot be
+    read."""
     run = config_folder(Path(run))
     try:
         config = load_config(run)

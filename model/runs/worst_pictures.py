@@ -1,4 +1,4 @@
-"""The frames with the largest errors of a network: after each epoch, of the frames held out, with their pictures.
+"""The held-out frames with the largest errors after each epoch, with their pictures.
 
 runs/NAME/worst.jsonl   one line of JSON an epoch (in very long trainings, the last ones). Pictures are in base64,
                         so that they can be shown without the index.

@@ -62,9 +62,9 @@ def save_growing(
 def follow_log(path: Path, url: str, viewer: Viewer | None) -> int:
     """Show the growing log at `path` in the viewer at `url`. Returns the exit code.
 
-    `viewer` is the process of a viewer that was opened for this log: it shows the log until it is closed. None
-    means a viewer that was already running: the function ends when the log is finished. Problems of the log are
-    printed on stderr when they happen. Raises UserError if the viewer does not start, or dies.
+    A `viewer` that was opened for this log shows it until it is closed. None: the viewer was already running, and
+    the function ends when the log is finished. Problems of the log are printed on stderr when they happen. Raises
+    UserError if the viewer does not start, or dies.
     """
     return feed_viewer(LogFeed(path, url), viewer)
 
@@ -101,11 +101,11 @@ def _send(
     has_failed: threading.Event,
     flush: Callable[[], object] | None = None,
 ) -> bool:
-    """Send the growing log until it ends, `stop` is set (then send what is written so far), or the viewer is
-    closed. Returns True if everything was sent.
+    """Send the growing log until it ends, the viewer is closed, or `stop` is set (then send what is written so
+    far). Returns True if everything was sent.
 
-    `flush` waits until a viewer has received all data. With `flush`, the function keeps up with the log: it does
-    not send pictures that are too old, but counts them in `log.skipped`.
+    `flush` waits until a viewer has received all data. With it, the function keeps up with the log: pictures that
+    are too old are not sent, but counted in `log.skipped`.
     """
     keep_up = flush is not None
     sender = LiveMessageSender(recording, is_watched=keep_up)

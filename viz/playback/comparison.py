@@ -192,8 +192,8 @@ def _lengths(path: Path2D) -> NDArray[np.float64]:
 
 
 def _first(path: Path2D, lengths: NDArray[np.float64], point: Path2D) -> tuple[int, float]:
-    """The number and the distance of the first point of `path` about as near as the nearest: a lap ends where it
-    began."""
+    """The number and the distance of the nearest point of `path`, in its first part near `point`: a lap ends where
+    it began."""
     distances = np.hypot(*(path - point).T)
     near = distances <= 1.5 * distances.min() + 2.0
     begin = int(np.argmax(near))

@@ -262,8 +262,8 @@ def _numbers(topic: str, contents: Sequence[Any]) -> Numbers:
 
 def arcs(steering: Values, size: tuple[int, int]) -> NDArray[np.float32]:
     """Arcs that show steering (N,) over a picture of `size` (width, height): N times nine points x, y in pixels.
-    They are not to scale. An arc begins at the middle of the bottom, and ends half a picture higher; at full lock,
-    it ends almost half a picture to the side."""
+    An arc begins at the middle of the bottom and ends half a picture higher. At full lock, it ends almost half a
+    picture to the side. It is not the car's path."""
     width, height = size
     bend = np.clip(np.nan_to_num(steering), -1.0, 1.0)[:, None] * (_ALONG**2)
     x = width * (0.5 + 0.45 * bend)

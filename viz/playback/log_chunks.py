@@ -1,9 +1,9 @@
 """The part of a log that is not drawn, as chunks of a Rerun recording: pictures, and topics that only Rerun knows.
 
-Rerun's reader compares no CRCs, and may never end on a damaged log. For the toolkit's own logs, it therefore reads
-only the summary, and a copy of the topics that this module does not send. This module sends the pictures chunk by
-chunk; each chunk is read once, and its CRC is compared. For logs of other programs, Rerun's reader reads the log
-itself: its index has already read all of it.
+Rerun's reader compares no CRCs, and may never end on a damaged log. Of the toolkit's own logs, it reads only the
+summary, and a copy of the topics that it alone knows. This module sends the pictures, and reads each of their
+chunks once, with its CRC. A log of another program was already read whole for its index, so Rerun's reader reads
+it itself.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def _chunks(
 
 
 def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
-    """The chunks that Rerun's reader makes of the metadata and the summary of a finished log. Opening the log has
-    compared the CRC of the summary. The time range makes Rerun skip all chunks of the log."""
+    """The chunks that Rerun's reader makes of a finished log's metadata and summary; opening the log has compared
+    the summary's CRC. The time range makes Rerun skip all chunks of the log."""
     reader = McapReader(
         path,
         decoders=_OF_SUMMARY,

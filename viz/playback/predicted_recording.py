@@ -38,8 +38,8 @@ def prepare_predictions(
     at_s: float | None = None,
 ) -> AbstractContextManager[PreparedRecording]:
     """Prepare the log at `path` with predictions of the networks of `runs`: steering, errors, the worst moments as
-    events, and with `attention` the attention maps. Sending the recording makes the predictions; then
-    `on_predictions` receives them.
+    events, and with `attention` the attention maps. They are made while the recording is sent, and then given to
+    `on_predictions`.
 
     `at_s` is as in `prepare_log`. Raises LogError if the log cannot be read, RunError if a run is given twice;
     sending raises what `predict_log` raises.
