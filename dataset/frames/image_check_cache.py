@@ -30,9 +30,10 @@ from common.untrusted import read_bounded
 from dataset.errors import index_write_errors, log_problem
 from dataset.frames.frame_flags import ImageFindings, Stretches
 from recorder import Log, LogError
+from recorder.log.road_places import states_of
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.pictures.image_check import ImageCheck
-from recorder.rows.row_quality import STANDING_MPH, States
+from recorder.rows.row_quality import STANDING_MPH
 from recorder.topics import camera_topic
 from recorder.upkeep.log_info import find_lag, lacks_lag
 
@@ -45,8 +46,8 @@ def check_images(
     log: Log, on_decoded: Callable[[int], object] = lambda count: None, threads: int | None = None
 ) -> ImageFindings:
     """Decode all camera pictures of a log, in `threads` (by default one for each core) and with bounded memory.
-    Compare the pictures of the centre camera with the steering. If the steering's lag is unknown, measure it, and
-    keep it next to the log.
+    Compare the car's turning, by its poses or else its pictures, with the steering. If the steering's lag is
+    unknown, measure it, and keep it next to the log.
 
     `on_decoded` is called with the number of pictures decoded since the last call. Raises LogError if the log is
     damaged.
@@ -74,7 +75,7 @@ def check_images(
         check.decoded,
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
-        tuple(stretches(against_pictures(log, States.of(log.vehicle()), lambda count: on_decoded(0)))),
+        tuple(stretches(against_pictures(log, states_of(log), lambda count: on_decoded(0)))),
         find_lag(log)[0],
     )
 

@@ -1,5 +1,4 @@
-"""The positions of a log's car on a built-in road: its distance from the edge in each row, and its last
-position."""
+"""The poses of a log's car: its heading, its distance from the edge of a built-in road, and its last position."""
 
 from __future__ import annotations
 
@@ -37,16 +36,16 @@ class CarPlaces:
             self._values.extend((row, at.x, at.y, turned.x, turned.y, turned.z, turned.w))
 
     def placed(self, states: States) -> States:
-        """The states with the distances from the road's edge."""
+        """The states with the car's headings, and its distances from the road's edge."""
         row, *places = np.array(self._values, np.float64).reshape(-1, 1 + len(_FIELDS)).T
         return _placed(states, self._session, row, places)
 
 
 def states_of(log: Log) -> States:
-    """The states of a log, with the distances from the road's edge, if known. Raises LogError for a damaged
-    log."""
+    """The states of a log, with the car's headings and its distances from the road's edge, if known. Raises
+    LogError for a damaged log."""
     states = States.of(log.vehicle())
-    if not log.counts.get(topics.POSE) or not log.metadata.get("track"):
+    if not log.counts.get(topics.POSE):
         return states
     table = log.numbers(topics.POSE, _FIELDS)
     return _placed(states, log.metadata, table["row"].to_numpy(), [table[name].to_numpy() for name in _FIELDS])
@@ -58,12 +57,15 @@ def _placed(states: States, session: Mapping[str, str], row: Values, places: lis
     x_m, y_m, x, y, z, w = places
     heading_rad = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     fingerprint = session.get("track_fingerprint", "")
-    beyond_m = beyond_edge_m(session["track"], fingerprint, x_m, y_m, heading_rad)
-    if beyond_m is None:
-        return states
+    beyond_m = beyond_edge_m(session.get("track", ""), fingerprint, x_m, y_m, heading_rad)
     order = np.argsort(row, kind="stable")
     at = order[np.minimum(np.searchsorted(row[order], states.row), len(order) - 1)]
-    return replace(states, beyond_m=np.where(row[at] == states.row, beyond_m[at], np.nan))
+
+    def of_states(values: Values) -> Values:
+        return np.where(row[at] == states.row, values[at], np.nan)
+
+    beyond_m = None if beyond_m is None else of_states(beyond_m)
+    return replace(states, heading_rad=of_states(heading_rad), beyond_m=beyond_m)
 
 
 def last_place_m(log: Log) -> float | None:

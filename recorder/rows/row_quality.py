@@ -61,6 +61,7 @@ class States:
     brake: Values
     speed_mph: Values  # NaN if unknown
     beyond_m: Values | None = None  # from the road's edge (`recorder.log.road_places`); None: unknown road
+    heading_rad: Values | None = None  # counter-clockwise, NaN without a pose; None: no poses
 
     @classmethod
     def of(cls, vehicle: pa.Table) -> States:

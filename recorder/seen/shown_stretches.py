@@ -37,7 +37,7 @@ def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) ->
     with progress_bar() as bar:
         task = bar.add_task("comparing steering with pictures", total=len(states.row), note="")
         against = against_pictures(log, states, partial(bar.advance, task))
-    why = "the pictures turn the other way"
+    why = "the car turns the other way"
     shown = [
         replace(stretch_of(states, first, last, "steering_against_pictures", why, is_sure=True), is_shown=True)
         for first, last in stretches(against)

@@ -1,4 +1,7 @@
-"""Stretches of a session in which the pictures turn one way, and the steering the other.
+"""Stretches of a session in which the car turns one way, and the steering the other.
+
+The car's poses show its turning; without poses, its pictures do. Pictures are less certain: in a gentle bend, the
+far field may move to the other side.
 
 The labels there are wrong: of another drive, mirrored, or delayed. On straight roads, these errors stay hidden. No
 network is needed.
@@ -28,6 +31,7 @@ _MIN_S: Final = 20.0
 _OPPOSED: Final = -0.3  # a correlation
 _MIN_YAW: Final = 0.25  # share of the session's mean square, from which on the car visibly turns
 _MIN_STEERING: Final = 0.1  # the same for the steering
+_MAX_RADPS: Final = 2.0  # a car that turns faster was put elsewhere; built-in cars stay below 0.8
 _LAGS_S: Final = np.arange(-20, 21) * 0.05
 _USUAL: Final = 0.35
 """The least median correlation of windows; below, the pictures do not show how the car turns. The correlation of
@@ -41,27 +45,30 @@ _PARTS: Final = 20
 def against_pictures(
     log: PictureLog, states: States, on_pairs: Callable[[int], object] = lambda count: None
 ) -> NDArray[np.bool_]:
-    """The rows (N,) whose steering contradicts their pictures; none if the pictures do not show how the car
-    turned.
+    """The rows (N,) whose steering contradicts the car's turning; none if nothing shows how the car turned.
 
-    Decodes the centre camera's pictures: one core takes a second for 4,000 rows. Calls `on_pairs` with the number
-    of pairs done since the last call.
+    Without poses in `states`, decodes the centre camera's pictures: one core takes a second for 4,000 rows. Calls
+    `on_pairs` with the number of pairs done since the last call.
     """
     is_against = np.zeros(len(states.row), np.bool_)
     time_s = elapsed_s(states.time_ns)
     is_sound = np.abs(states.steering) <= 1  # False for NaN too
     pairs = rows_apart(states, time_s)
     pairs = pairs[is_sound[pairs].all(axis=1)]
-    shown = FarField(log, states)
-    yaw_px: Values = np.full(len(pairs), np.nan)
-    for number, (first, second) in enumerate(pairs.tolist()):
-        yaw_px[number] = shown.yaw_px(first, second)
-        on_pairs(1)
-    is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; larger shifts are no match
-    pairs, yaw_px = pairs[is_known], yaw_px[is_known]
+    turn = _turn_of_poses(states, pairs)
+    max_turn = _MAX_RADPS * np.diff(time_s[pairs])[:, 0]
+    if turn is None:
+        shown = FarField(log, states)
+        turn = np.full(len(pairs), np.nan)
+        for number, (first, second) in enumerate(pairs.tolist()):
+            turn[number] = shown.yaw_px(first, second)
+            on_pairs(1)
+        max_turn[:] = WIDTH_PX / 4  # larger shifts are no match
+    is_known = np.abs(turn) < max_turn  # False for NaN
+    pairs, turn = pairs[is_known], turn[is_known]
     if np.diff(time_s[pairs])[:, 0].sum() < _MIN_S:
         return is_against
-    yaw = yaw_px / np.diff(time_s[pairs])[:, 0]
+    yaw = turn / np.diff(time_s[pairs])[:, 0]
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
     middle_s = time_s[pairs].mean(axis=1)
     turning = (states.steering * speed)[is_sound]
@@ -78,6 +85,16 @@ def against_pictures(
     for first, last in opposed:
         is_against[pairs[first, 0] : pairs[last, 1] + 1] = True
     return is_against
+
+
+def _turn_of_poses(states: States, pairs: NDArray[np.int64]) -> Values | None:
+    """The car's turn to the right between the rows of each pair (N,), in radians; None if most pairs lack a pose,
+    or if the heading never changes."""
+    if states.heading_rad is None or not len(pairs):
+        return None
+    turn: Values = (np.pi - np.diff(states.heading_rad[pairs])[:, 0]) % (2 * np.pi) - np.pi
+    is_known = np.isfinite(turn)
+    return turn if is_known.mean() > 0.5 and turn[is_known].any() else None
 
 
 def _mirrored_part(steered: Values, yaw: Values, between_s: Values) -> list[tuple[int, int]]:

@@ -19,7 +19,6 @@ from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.label_plan import wrong_timing
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
-from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding
 from recorder.topics import POSE, VEHICLE, camera_topic
 from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
@@ -98,7 +97,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
             from recorder.seen.steering_lag import measure_lag
             from recorder.upkeep.swapped_cameras import same_pictures, swapped_cameras
 
-            states = States.of(log.vehicle())
+            states = states_of(log)
             odd = with_pictures(log, states, odd)
             if shown is None:  # labels need none, or an earlier version tried fewer lags
                 shown = measure_lag(log, states)

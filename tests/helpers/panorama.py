@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
+from recorder.log.pose_message import pose_message
+from simulator.pose import Pose
 
 RATE_HZ = 10.0
 Seconds = NDArray[np.float64]
@@ -55,6 +57,7 @@ def write_drive(
     wheel: Callable[[Seconds], Seconds] = hand,
     speed_mph: Callable[[Seconds], Seconds] | float = 15.0,
     *,
+    heading_rad: Callable[[Seconds], Seconds] | None = None,
     live: bool = False,
     start_s: int = 0,
     device: VehicleState.Device = VehicleState.UNKNOWN,
@@ -72,4 +75,7 @@ def write_drive(
             )
             writer.picture("center", time_ns, row, picture)
             writer.vehicle(time_ns, row, state)
+            if heading_rad is not None:
+                pose = Pose(0.0, 0.0, 0.0, float(heading_rad(at_s)[row]))
+                writer.pose(time_ns, row, pose_message(pose, time_ns))
     return path

@@ -16,9 +16,10 @@ from dataset.frames.image_check_cache import write_image_check
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
 from recorder.cli import main as bc_record
+from recorder.log.road_places import states_of
 from recorder.log_cli import main as bc_log
-from recorder.rows.row_quality import States
 from recorder.seen.steering_against_pictures import against_pictures
+from recorder.upkeep.check import check
 from udacity import call
 
 ROWS = 600
@@ -27,7 +28,7 @@ WRONG_S = (20.0, 32.0)
 
 def found_in(path: Path) -> list[tuple[int, int]]:
     with Log(path) as log:
-        return stretches(against_pictures(log, States.of(log.vehicle())))
+        return stretches(against_pictures(log, states_of(log)))
 
 
 def wrong_for_a_while(other: Callable[[Seconds], Seconds]) -> Callable[[Seconds], Seconds]:
@@ -60,6 +61,28 @@ def test_sound_labels_are_not(tmp_path: Path) -> None:
     assert found_in(write_drive(tmp_path / "broken.mcap", [b"no picture"] * 100)) == []
     someone_else = np.random.default_rng(3).uniform(-1, 1, ROWS)
     assert found_in(write_drive(tmp_path / "other.mcap", views(ROWS), lambda at_s: someone_else)) == []
+
+
+def turned_by(wheel: Callable[[Seconds], Seconds]) -> Callable[[Seconds], Seconds]:
+    """The heading of a car that turns as much as this wheel says; a turn to the right makes it smaller."""
+    return lambda at_s: -np.cumsum(wheel(at_s)) / RATE_HZ
+
+
+def test_poses_decide_where_the_pictures_turn_the_other_way(tmp_path: Path) -> None:
+    """In a gentle bend, the far field of a correct drive may do so."""
+    wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
+    expected = [pytest.approx([at_s * RATE_HZ for at_s in WRONG_S], abs=10)]
+    for name, heading_rad, found in (
+        ("correct", turned_by(wheel), []),
+        ("mirrored", turned_by(hand), expected),
+        ("unknown", np.zeros_like, expected),  # the pictures decide
+    ):
+        drive = write_drive(tmp_path / f"{name}.mcap", views(ROWS), wheel, heading_rad=heading_rad)
+        assert found_in(drive) == found
+        assert len([odd for odd in check(drive).odd if odd.kind == "steering_against_pictures"]) == len(found)
+    no_pictures = [b"no picture"] * ROWS
+    drive = write_drive(tmp_path / "dark.mcap", no_pictures, wheel, heading_rad=turned_by(hand))
+    assert found_in(drive) == expected
 
 
 def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(
