@@ -78,6 +78,7 @@ class Check:
                 "has_crcs": checked.has_crcs,
                 "meant_gaps": checked.meant_gaps,
                 "pauses": checked.pauses,
+                "set_back": checked.set_back,
                 "findings": [finding._asdict() for finding in checked.findings],
                 "odd": [asdict(stretch) for stretch in checked.odd],
                 "lag": checked.lag and checked.lag.lag and asdict(checked.lag.lag),

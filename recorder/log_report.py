@@ -92,6 +92,8 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
     for where in checked.pauses:
         meant.add("pauses of the recording; a new drive begins after each", where)
+    for where in checked.set_back:
+        meant.add("jumps back in time; a new drive begins after each", where)
     for line in meant.lines(MAX_PLACES):
         print_result(f"  {line}")
 

@@ -52,6 +52,7 @@ class Checked:
     has_crcs: bool  # other programs may write none: then damage is not noticed
     meant_gaps: list[str]  # gaps in time that its events explain; not findings
     pauses: list[str]  # of a recorder that people switch off and on; not findings
+    set_back: list[str]  # jumps back in time; of such a recorder, not findings
     lag: LagFinding | None  # of the steering, known or measured; None: not measured
     is_lag_kept: bool  # in the log or next to it
     odd: list[OddStretch]  # without those tagged fine; including unsure ones, which are not findings
@@ -125,7 +126,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
         bool(damage),
         has_crcs,
         contents.meant_gaps,
-        [finding.where for finding in pauses],
+        [finding.where for finding in pauses if finding.where not in contents.set_back],
+        contents.set_back,
         lag,
         is_lag_kept,
         odd,

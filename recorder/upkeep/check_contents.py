@@ -82,6 +82,7 @@ class Contents:
         self._sizes = PictureSizes()
         self.counts: Counter[str] = Counter()
         self.meant_gaps: list[str] = []  # the rows after them
+        self.set_back: list[str] = []  # the gaps at which time goes back
         self.odd: list[OddStretch] = []
 
     @property
@@ -152,9 +153,12 @@ class Contents:
             self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
         meant = self._not_recorded.gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
-        for row in states.row[row_flags(states)["gap"] & ~meant].tolist():
+        for at in np.flatnonzero(row_flags(states)["gap"] & ~meant).tolist():
+            row = int(states.row[at])
             if not self._fine.cover(row, row):
                 self._findings.append(Finding(GAPS, f"before row {row}"))
+                if states.time_ns[at] < states.time_ns[at - 1]:
+                    self.set_back.append(f"before row {row}")
         still = states.row[1:][np.diff(states.time_ns) == 0].tolist()
         if len(still) > MAX_STILL * len(states.row):
             for first, last in consecutive(still):

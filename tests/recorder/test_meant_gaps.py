@@ -160,3 +160,17 @@ def test_a_pause_of_a_recorder_that_people_switch_is_no_finding(
     first, pauses = capsys.readouterr().out.splitlines()
     assert first.endswith("nothing wrong")
     assert pauses.endswith("a new drive begins after each: 2 (before row 2, before row 4)")
+
+
+@pytest.mark.parametrize(("source", "code"), [("udacity", 0), ("drive", 3)])
+def test_a_clock_that_is_set_back_is_not_called_a_pause(
+    source: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"source": source}) as writer:
+        write_rows(writer, [3600.0, 3600.1, 0.2, 0.3], {})
+    assert call(main, "check", path) == code
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "  jumps back in time; a new drive begins after each: 1 (before row 2)"
+    assert not [line for line in lines if "pauses" in line]
+    assert [odd.where for odd in check(path).findings] == ["before row 2"] * (code == 3)
