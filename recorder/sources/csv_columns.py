@@ -19,6 +19,7 @@ from common.untrusted import open_regular
 from common.whole_number import whole_number
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError, readable
+from recorder.rows.row_quality import GAP_S
 from recorder.sources.imported_rows import vehicle_state
 from recorder.sources.udacity_csv import UTF16_MARKS
 
@@ -26,6 +27,8 @@ MAX_LINE_CHARACTERS: Final = 100_000
 _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
 _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
 _TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # nanoseconds of each unit
+_UNITS: Final = dict(zip(_TIMES, ("seconds", "milliseconds", "microseconds", "nanoseconds"), strict=True))
+_MIN_STEP_NS: Final = 5e6  # no camera takes more than 200 pictures a second
 KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 
@@ -72,6 +75,18 @@ class CsvColumns:
     @property
     def has_times(self) -> bool:
         return bool(_TIMES.keys() & self.names.keys())
+
+    def likely_unit(self, step_ns: float) -> str:
+        """A question, if rows that are so far apart suggest another unit of time; else ""."""
+        given = next(iter(_TIMES.keys() & self.names.keys()))
+        usual = [key for key in _TIMES if _MIN_STEP_NS <= step_ns / _TIMES[given] * _TIMES[key] <= GAP_S * 1e9]
+        if not usual or given in usual:
+            return ""
+        return f"--columns: rows are {step_ns / 1e9:g} s apart; {self._question(usual[0])}, with --force"
+
+    def _question(self, key: str) -> str:
+        name = next(self.names[given] for given in _TIMES if given in self.names)
+        return f"is {printable(name)!r} in {_UNITS[key]}? Then give {key}={printable(name)}"
 
     def rows(self, path: Path, scale: float, skipped: Skipped) -> Iterator[CsvRow]:
         """The usable rows of a csv, with steering multiplied by `scale`.
@@ -136,7 +151,9 @@ class CsvColumns:
                 return "rows whose time is not a number"
             time_ns = _time_ns(key, values[key], numbers[key])
             if time_ns is None:
-                return "rows with a time that no log can hold"
+                held_by = next((unit for unit in _TIMES if _time_ns(unit, values[key], numbers[key])), "")
+                hint = f" ({self._question(held_by)})" if held_by else ""
+                return f"rows with a time that no log can hold{hint}"
         pictures = {camera: values[camera] for camera in CAMERAS if values.get(camera)}
         if not pictures:
             return "rows that name no picture"

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+from array import array
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from common import Skipped
 from common.car import Camera
@@ -60,14 +64,20 @@ def import_csv(
     csv = _csv(source)
     folder = PictureFolder(csv.parent)
     events = SkippedEvents()
-    rows = _rows(csv, chosen, folder, rate_hz, steering_scale, events.skipped)
+    times_ns = array("q")
+    rows = _rows(csv, chosen, folder, rate_hz, steering_scale, events.skipped, times_ns)
     metadata = recording_metadata("csv", csv.parent, car) | {
         "columns": " ".join(f"{key}={name}" for key, name in chosen.names.items()),
         "steering_scale": repr(steering_scale),
         "clock": "recorded" if rate_hz is None else describe_clock(rate_hz),
         **({} if rate_hz is None else FROM_1970),
     }
-    return write_log(log, metadata, rows, events, f"{csv}: no row of it can be used", overwrite=overwrite)
+    done = write_log(log, metadata, rows, events, f"{csv}: no row of it can be used", overwrite=overwrite)
+    steps_ns = np.diff(times_ns)
+    if rate_hz is None and (steps_ns > 0).any():
+        question = chosen.likely_unit(float(np.median(steps_ns[steps_ns > 0])))
+        return replace(done, notices=[*done.notices, *filter(None, [question])])
+    return done
 
 
 def has_csv(source: Path) -> bool:
@@ -102,7 +112,9 @@ def _rows(
     rate_hz: float | None,
     steering_scale: float,
     skipped: Skipped,
+    times_ns: array[int],
 ) -> Iterator[ImportedRow]:
+    """The rows; their times are added to `times_ns`."""
     named = set[str]()
     rows = columns.rows(csv, steering_scale, skipped)
     for row in track(rows, f"importing {csv.parent.name}", len(folder.paths)):
@@ -126,6 +138,7 @@ def _rows(
         if abs(row.state.steering) > 1:
             skipped.add(STEERING_OUT_OF_RANGE, f"line {row.line}: {row.state.steering:g}")
         if time_ns is not None:
+            times_ns.append(time_ns)
             yield ImportedRow(time_ns, row.state, pictures.items())
     for within, path in folder.paths.items():
         if path not in named:

@@ -114,6 +114,31 @@ def test_a_time_that_no_log_can_hold_costs_its_row(tmp_path: Path, column: str, 
     assert "rows with a time that no log can hold: 1 (line 3)" in done.skipped.lines()
 
 
+@pytest.mark.parametrize(
+    ("column", "begin", "step", "likely"),
+    [
+        ("time_s", 0, 100, "milliseconds? Then give time_ms=t"),
+        ("time_s", 0, 100_000, "microseconds? Then give time_us=t"),
+        ("time_ms", 0, 0.1, "seconds? Then give time_s=t"),
+        ("time_s", 1_720_880_000_000, 100, "milliseconds? Then give time_ms=t"),  # since 1970: no log holds them
+        ("time_s", 0, 0.1, None),
+        ("time_ms", 1_720_880_000_000, 100, None),
+        ("time_s", 0, 2, None),  # a slow camera
+    ],
+)
+def test_times_in_another_unit_are_asked_about(
+    tmp_path: Path, column: str, begin: int, step: float, likely: str | None
+) -> None:
+    names = [f"{row}.jpg" for row in range(9)]
+    csv = "p,s,t\n" + "".join(f"{name},0,{begin + row * step}\n" for row, name in enumerate(names))
+    folder = folder_of(tmp_path, csv, names)
+    try:
+        said = " ".join(imported(folder, "image=p", "steering=s", f"{column}=t").notices)
+    except RecordingError as error:
+        said = str(error)
+    assert f"is 't' in {likely}" in said if likely else said == ""
+
+
 def test_a_date_as_a_time_is_not_called_too_large(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "p,s,t\na.jpg,0,1\nb.jpg,0,2024-07-13T14:30:16\n", ["a.jpg", "b.jpg"])
     done = imported(folder, "image=p", "steering=s", "time_s=t")
