@@ -103,10 +103,10 @@ def check(path: Location, *, look: bool = True) -> Checked:
             if shown is None:  # labels need none, or an earlier version tried fewer lags
                 shown = measure_lag(log, states)
                 lag = lag and LagFinding(shown)
-            for pair in same_pictures(log):
+            for pair in (same := same_pictures(log)):
                 copies = "`bc-index --cameras center` leaves the copies out"
                 findings.append(Finding("cameras with the same pictures", f"{pair}; {copies}"))
-            if (swapped := swapped_cameras(log)) == "left and right":
+            if (swapped := "" if same else swapped_cameras(log)) == "left and right":
                 left_out = "`bc-index --cameras center` leaves them out"
                 findings.append(Finding("side cameras that are swapped", f"{swapped}; {left_out}"))
             elif swapped:
