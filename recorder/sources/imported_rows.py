@@ -98,7 +98,8 @@ def write_log(
 ) -> Imported:
     """Write rows, numbered from 0, with events about skipped ones. `warnings` become events at the first row.
 
-    Raises RecordingError, which begins with `without_rows`, if there is no row: then no log is created.
+    Raises RecordingError if there is no row (its text begins with `without_rows`), or no picture: then no log is
+    created.
     """
     first = next(rows, None)
     if first is None:
@@ -114,4 +115,8 @@ def write_log(
                 pictures += 1
             writer.vehicle(row.time_ns, count, row.state, row.gap)
             count += 1
+        if not pictures:  # inside, so that the log is discarded
+            raise RecordingError(
+                f"{metadata['recording']}: no picture of it can be used{events.skipped.error_suffix()}"
+            )
     return Imported(log, count, pictures, events.skipped, [*warnings, *writer.notices])

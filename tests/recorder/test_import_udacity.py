@@ -299,6 +299,15 @@ def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path
     assert values_of(done.path) == VALUES
 
 
+def test_without_any_whole_picture_no_log_is_written(tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    for name in make_recording(folder, three_rows()):
+        (folder / "IMG" / name).write_bytes(b"")
+    with pytest.raises(RecordingError, match=r"^recording: no picture of it can be used; pictures .*: 9 \(center"):
+        imported(folder)
+    assert sorted(tmp_path.glob("**/*.mcap*")) == []
+
+
 def test_a_link_that_leaves_the_recording_is_not_followed(tmp_path: Path) -> None:
     secret = tmp_path / "private.jpg"
     secret.write_bytes(jpeg(250))
