@@ -28,7 +28,7 @@ _POSITIONS: Final = frozenset(map(str, range(1, 1000)))
 _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
 _TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # nanoseconds of each unit
 _UNITS: Final = dict(zip(_TIMES, ("seconds", "milliseconds", "microseconds", "nanoseconds"), strict=True))
-_MIN_STEP_NS: Final = 5e6  # no camera takes more than 200 pictures a second
+_MIN_STEP_NS: Final = 5e6  # more than 200 pictures a second are less likely than a wrong unit
 KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 

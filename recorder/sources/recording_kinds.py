@@ -15,6 +15,7 @@ from recorder.sources.import_mcap import import_mcap
 from recorder.sources.import_udacity import import_udacity
 from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import Topics
+from recorder.sources.udacity_recording import CSV_NAME
 
 
 def import_recording(
@@ -53,7 +54,7 @@ def import_recording(
     if not kind and has_csv(source):
         raise RecordingError(
             f"{source}: pictures with a csv? Say what its columns are: --columns image=COLUMN steering=COLUMN"
-            " --rate ROWS_A_SECOND"
+            f" --rate ROWS_A_SECOND; or, if Udacity's simulator wrote it, name it {CSV_NAME}"
         )
     if topics != Topics() and kind not in ("log", "lerobot"):
         raise RecordingError(

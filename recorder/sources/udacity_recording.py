@@ -156,7 +156,9 @@ class UdacityRecording:
         if not row_count:
             if not self.csv.stat().st_size:
                 raise RecordingError(f"{self.csv}: an empty file: no drive was recorded")
-            raise RecordingError(f"{self.csv}: no usable row{self._skipped.error_suffix()}")
+            why = self._skipped.error_suffix()
+            hint = "; if its columns are others, name them with --columns" if why else ""
+            raise RecordingError(f"{self.csv}: no usable row{why}{hint}")
         with readable(self.folder):
             if not picture_count:
                 raise RecordingError(f"{self.csv}: none of its pictures is there; {self._files.why_none()}")

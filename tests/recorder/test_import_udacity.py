@@ -14,6 +14,7 @@ from driving import one_line_in
 from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main
+from recorder.sources.recording_kinds import import_recording
 from udacity import call, jpeg, make_recording, paths, picture_name
 
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 1_000_000_000
@@ -297,6 +298,15 @@ def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path
     del pictures[broken]
     assert pictures_of(done.path) == pictures
     assert values_of(done.path) == VALUES
+
+
+def test_a_csv_of_another_name_or_with_other_columns_says_what_to_do(tmp_path: Path) -> None:
+    make_recording(tmp_path, f"{paths(0)},0.1\n")
+    with pytest.raises(RecordingError, match="fewer than four values.* name them with --columns"):
+        imported(tmp_path)
+    (tmp_path / "driving_log.csv").rename(tmp_path / "driving_log (1).csv")
+    with pytest.raises(RecordingError, match=r"--columns image=COLUMN .* name it driving_log\.csv"):
+        import_recording(tmp_path, tmp_path / "imported.mcap")
 
 
 def test_without_any_whole_picture_no_log_is_written(tmp_path: Path) -> None:
