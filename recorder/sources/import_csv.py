@@ -73,11 +73,8 @@ def import_csv(
         **({} if rate_hz is None else FROM_1970),
     }
     done = write_log(log, metadata, rows, events, f"{csv}: no row of it can be used", overwrite=overwrite)
-    steps_ns = np.diff(times_ns)
-    if rate_hz is None and (steps_ns > 0).any():
-        question = chosen.likely_unit(float(np.median(steps_ns[steps_ns > 0])))
-        return replace(done, notices=[*done.notices, *filter(None, [question])])
-    return done
+    questions = chosen.questions(np.array(times_ns, np.int64)) if rate_hz is None else ()
+    return replace(done, notices=[*done.notices, *questions])
 
 
 def has_csv(source: Path) -> bool:

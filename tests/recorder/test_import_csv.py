@@ -139,6 +139,17 @@ def test_times_in_another_unit_are_asked_about(
     assert f"is 't' in {likely}" in said if likely else said == ""
 
 
+@pytest.mark.parametrize(
+    ("order", "is_asked"), [([3, 1, 0, 2, 5, 4], True), ([*range(10, 20), *range(10)], False)]
+)
+def test_a_shuffled_csv_is_asked_about(tmp_path: Path, order: list[int], is_asked: bool) -> None:
+    csv = "p,s,t\n" + "".join(f"{row}.jpg,0,{row / 10}\n" for row in order)
+    folder = folder_of(tmp_path, csv, [f"{row}.jpg" for row in order])
+    said = " ".join(imported(folder, "image=p", "steering=s", "time_s=t").notices)
+    assert ("time goes back 3 times" in said and "sort it by 't'" in said) is is_asked
+    assert is_asked or said == ""
+
+
 def test_a_date_as_a_time_is_not_called_too_large(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "p,s,t\na.jpg,0,1\nb.jpg,0,2024-07-13T14:30:16\n", ["a.jpg", "b.jpg"])
     done = imported(folder, "image=p", "steering=s", "time_s=t")

@@ -302,7 +302,7 @@ def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path
 
 def test_a_csv_of_another_name_or_with_other_columns_says_what_to_do(tmp_path: Path) -> None:
     make_recording(tmp_path, f"{paths(0)},0.1\n")
-    with pytest.raises(RecordingError, match="fewer than four values.* name them with --columns"):
+    with pytest.raises(RecordingError, match=r"fewer than four values.* name them with --columns"):
         imported(tmp_path)
     (tmp_path / "driving_log.csv").rename(tmp_path / "driving_log (1).csv")
     with pytest.raises(RecordingError, match=r"--columns image=COLUMN .* name it driving_log\.csv"):
