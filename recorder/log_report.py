@@ -86,7 +86,8 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
         print_result(f"  {words}")
         if not checked.is_lag_kept:
             warn(f"{lag_path(checked.path)}: cannot be written; `bc-index --look` keeps the lag in the index")
-    print_result(*(f"  {line}" for line in _odd_lines(checked.odd, tags, checked.path)))
+    odd = _odd_lines(checked.odd, tags, checked.path, is_looked=checked.pictures > 0)
+    print_result(*(f"  {line}" for line in odd))
     meant = Skipped()
     for where in checked.meant_gaps:
         meant.add("gaps in time that its events explain, so nothing is lost", where)
@@ -135,15 +136,18 @@ def _print_drives(info: LogInfo) -> None:
     _print_more(len(gaps), "more gap", MAX_PLACES)
 
 
-def _odd_lines(odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location) -> list[str]:
-    """The odd stretches of a log, and what to do about them; excluded ones are only counted."""
+def _odd_lines(
+    odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location, *, is_looked: bool = False
+) -> list[str]:
+    """The odd stretches of a log, and what to do about them; excluded ones are only counted. `is_looked`: as in
+    `odd_advice`."""
     from recorder.log.tagged_rows import TaggedRows
     from recorder.rows.odd_stretches import odd_advice, odd_lines
 
     left = TaggedRows(tags, EXCLUDE).untagged(odd)
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
-    return [*odd_lines(left), *lines, *odd_advice(left, log)]
+    return [*odd_lines(left), *lines, *odd_advice(left, log, is_looked=is_looked)]
 
 
 def _in_short(value: str) -> str:

@@ -244,14 +244,17 @@ def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
-def odd_advice(odd: Sequence[OddStretch], log: Location) -> list[str]:
-    """What happens to the odd stretches of a log, and what to do about them."""
+def odd_advice(odd: Sequence[OddStretch], log: Location, *, is_looked: bool = False) -> list[str]:
+    """What happens to the odd stretches of a log, and what to do about them. `is_looked`: `bc-log check` has just
+    looked at the pictures."""
     lines, place = [], shlex.quote(str(log))
     if any(not stretch.is_learnt and stretch.kind in NOT_LEARNT for stretch in odd):
         lines.append("crashes, driving backwards and parked cars are not learnt by default, if a person drove")
     if any(stretch.is_sure for stretch in odd):
         lines.append(f"`{exclude_command(odd, log)}` excludes all that is sure")
-    if unsure := next((stretch for stretch in odd if not stretch.is_sure), None):
-        look = f"`bc-play {place}` shows what is perhaps odd, `bc-log check {place}` looks at its pictures"
-        lines.append(f"{look}; `{unsure.command(log)}` excludes the first stretch")
+    # not those of another scale: they are all rows
+    if unsure := [stretch for stretch in odd if not stretch.is_sure and stretch.kind != "out_of_range"]:
+        look = "" if is_looked else f", `bc-log check {place}` looks at its pictures"
+        first = f"`{unsure[0].command(log)}` excludes the first stretch"
+        lines.append(f"`bc-play {place}` shows what is perhaps odd{look}; {first}")
     return lines

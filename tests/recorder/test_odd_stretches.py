@@ -77,7 +77,7 @@ def test_bends_in_degrees_are_another_scale_and_not_to_be_excluded() -> None:
     (scale,) = odd_stretches(driven(CRUISE, (4.0, 12.0, 0.5, 20.0, 20.0), CRUISE))
     assert (scale.kind, scale.first_row, scale.rows, scale.is_sure) == ("out_of_range", 100, 340, False)
     assert "beyond -1..1 in 12% of the rows: another scale, such as degrees?" in scale.cause
-    assert not any("exclude --odd" in line for line in odd_advice([scale], Path("a.mcap")))
+    assert odd_advice([scale], Path("a.mcap")) == []
     ((_, begin_s, _, is_sure),) = found_in(CRUISE, (1.0, 12.0, 0.5, 20.0, 20.0), CRUISE)
     assert (begin_s, is_sure) == (15.0, True)
 
@@ -148,6 +148,8 @@ def test_what_is_odd_ends_with_the_command_that_excludes_it() -> None:
     assert "`bc-log tag 'sessions/a b.mcap' exclude --odd`" in exclude
     assert "`bc-log check 'sessions/a b.mcap'`" in look
     assert "`bc-log tag 'sessions/a b.mcap' exclude --rows 20 29`" in look
+    *_, looked = odd_advice([unsure], log, is_looked=True)
+    assert "bc-log check" not in looked
     assert "\x1b" not in str(unsure)
     assert odd_lines([]) == odd_advice([], log) == []
 
