@@ -32,7 +32,6 @@ _NUMBERS: Final = ("steering", "throttle", "brake", "speed_mph")
 _TIMES: Final = {"time_s": 1e9, "time_ms": 1e6, "time_us": 1e3, "time_ns": 1.0}  # nanoseconds of each unit
 _UNITS: Final = dict(zip(_TIMES, ("seconds", "milliseconds", "microseconds", "nanoseconds"), strict=True))
 _MIN_STEP_NS: Final = 5e6  # more than 200 pictures a second are less likely than a wrong unit
-_MAX_BACK: Final = 0.1  # share of the rows; recordings of several drives go back a few times
 KEYS: Final = ("image", *CAMERAS, *_NUMBERS, *_TIMES)
 
 
@@ -80,23 +79,17 @@ class CsvColumns:
     def has_times(self) -> bool:
         return bool(_TIMES.keys() & self.names.keys())
 
-    def questions(self, time_ns: NDArray[np.int64]) -> Iterator[str]:
-        """Questions about the column of times, if the rows' times (N,) suggest another unit, or no order."""
+    def likely_unit(self, time_ns: NDArray[np.int64]) -> str:
+        """A question, if the distances between the rows' times (N,) suggest another unit; else ""."""
         given = next(iter(_TIMES.keys() & self.names.keys()))
-        steps_ns = np.diff(time_ns)
-        back = int((steps_ns < 0).sum())
-        if back > _MAX_BACK * len(steps_ns):
-            name = printable(self.names[given])
-            yield (
-                f"--columns: time goes back {back:,} times, and each begins a new drive; is the csv shuffled? Then"
-                f" sort it by {name!r}, and import it with --force"
-            )
-        elif (steps_ns > 0).any():
-            step_ns = float(np.median(steps_ns[steps_ns > 0]))
-            raw = step_ns / _TIMES[given]
-            usual = [key for key in _TIMES if _MIN_STEP_NS <= raw * _TIMES[key] <= GAP_S * 1e9]
-            if usual and given not in usual:
-                yield f"--columns: rows are {step_ns / 1e9:g} s apart; {self._question(usual[0])}, with --force"
+        steps_ns = np.diff(np.sort(time_ns))
+        if not (steps_ns > 0).any():
+            return ""
+        step_ns = float(np.median(steps_ns[steps_ns > 0]))
+        usual = [key for key in _TIMES if _MIN_STEP_NS <= step_ns / _TIMES[given] * _TIMES[key] <= GAP_S * 1e9]
+        if not usual or given in usual:
+            return ""
+        return f"--columns: rows are {step_ns / 1e9:g} s apart; {self._question(usual[0])}, with --force"
 
     def _question(self, key: str) -> str:
         name = next(self.names[given] for given in _TIMES if given in self.names)

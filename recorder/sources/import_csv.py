@@ -73,8 +73,8 @@ def import_csv(
         **({} if rate_hz is None else FROM_1970),
     }
     done = write_log(log, metadata, rows, events, f"{csv}: no row of it can be used", overwrite=overwrite)
-    questions = chosen.questions(np.array(times_ns, np.int64)) if rate_hz is None else ()
-    return replace(done, notices=[*done.notices, *questions])
+    question = chosen.likely_unit(np.array(times_ns, np.int64)) if rate_hz is None else ""
+    return replace(done, notices=[*done.notices, *filter(None, [question])])
 
 
 def has_csv(source: Path) -> bool:

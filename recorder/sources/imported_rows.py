@@ -12,7 +12,7 @@ from typing import Final
 
 from common import Skipped
 from common.car import Camera
-from common.errors import MAX_KEPT_NAMES
+from common.errors import MAX_KEPT_NAMES, counted
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
@@ -24,6 +24,7 @@ STEERING_OUT_OF_RANGE: Final = (
 )
 """The remark on these rows, which are kept."""
 NOT_WHOLE: Final = "pictures that are not whole JPEG or PNG files"
+_MAX_BACK: Final = 0.1  # share of the rows; recordings of several drives go back a few times
 FROM_1970: Final = {"start": "1970, because the recording does not have it"}
 """Metadata of a log whose recording has no date."""
 
@@ -104,7 +105,8 @@ def write_log(
     first = next(rows, None)
     if first is None:
         raise RecordingError(f"{without_rows}{events.skipped.error_suffix()}")
-    count = pictures = 0
+    count = pictures = back = 0
+    last_ns = first.time_ns
     with LogWriter(log, metadata, overwrite=overwrite) as writer:
         for text in warnings:
             writer.event(first.time_ns, text, "WARNING", "recorder")
@@ -115,8 +117,14 @@ def write_log(
                 pictures += 1
             writer.vehicle(row.time_ns, count, row.state, row.gap)
             count += 1
+            back += row.time_ns < last_ns
+            last_ns = row.time_ns
         if not pictures:  # inside, so that the log is discarded
             raise RecordingError(
                 f"{metadata['recording']}: no picture of it can be used{events.skipped.error_suffix()}"
             )
-    return Imported(log, count, pictures, events.skipped, [*warnings, *writer.notices])
+    notices = [*warnings, *writer.notices]
+    if back > _MAX_BACK * count:
+        shuffled = "are the rows shuffled? Then sort them by time, and import them with --force"
+        notices.append(f"time goes back {counted(back, 'time')}, and each begins a new drive; {shuffled}")
+    return Imported(log, count, pictures, events.skipped, notices)

@@ -146,7 +146,7 @@ def test_a_shuffled_csv_is_asked_about(tmp_path: Path, order: list[int], is_aske
     csv = "p,s,t\n" + "".join(f"{row}.jpg,0,{row / 10}\n" for row in order)
     folder = folder_of(tmp_path, csv, [f"{row}.jpg" for row in order])
     said = " ".join(imported(folder, "image=p", "steering=s", "time_s=t").notices)
-    assert ("time goes back 3 times" in said and "sort it by 't'" in said) is is_asked
+    assert ("time goes back 3 times" in said and "sort them by time" in said) is is_asked
     assert is_asked or said == ""
 
 

@@ -253,6 +253,12 @@ def test_several_drives_and_time_going_backwards_keep_their_order(tmp_path: Path
     assert [steering for steering, *_ in values_of(done.path)] == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 
+def test_a_shuffled_recording_is_asked_about(tmp_path: Path) -> None:
+    make_recording(tmp_path, "".join(f"{paths(number)},{CELLS[0]}\n" for number in (2, 0, 1)))
+    (said,) = imported(tmp_path).notices
+    assert said.startswith("time goes back 1 time, and each begins a new drive; are the rows shuffled?")
+
+
 def test_two_folders_rows_in_one_file(tmp_path: Path) -> None:
     prefixes = ["/home/me/one/IMG/", "C:\\two\\IMG\\", "/home/me/one/IMG/"]
     csv = "".join(f"{paths(i, prefix)},{CELLS[i]}\n" for i, prefix in enumerate(prefixes))
