@@ -186,7 +186,7 @@ def pooled_convolution(layer: nn.Conv2d, inputs: Tensor) -> Tensor:
     kernels = kernels.reshape(-1, channels, 2, 2, blocks, 2, blocks, 2).permute(2, 3, 0, 4, 6, 5, 7, 1)
     kernels = kernels.reshape(-1, blocks, blocks, 4 * channels).permute(0, 3, 1, 2)
     outputs = functional.conv2d(pixels.permute(0, 3, 1, 2), kernels).permute(0, 2, 3, 1)
-    pooled = outputs.reshape(len(outputs), height, width, 4, -1).max(3).values
+    pooled = outputs.reshape(len(outputs), height, width, 4, layer.out_channels).max(3).values
     if layer.bias is not None:
         pooled = pooled + layer.bias.to(pooled.dtype)
     return pooled.permute(0, 3, 1, 2)

@@ -115,9 +115,10 @@ def test_a_wide_convolution_is_a_convolution_and_its_pooling(
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
 
 
-def test_wide_convolutions_see_what_the_layers_of_the_network_see() -> None:
+@pytest.mark.parametrize("pictures", [2, 0])  # none: no picture of a batch decodes
+def test_wide_convolutions_see_what_the_layers_of_the_network_see(pictures: int) -> None:
     torch.manual_seed(4)
-    features, inputs = SteeringNetwork().features, torch.randn(2, 3, 128, 128)
+    features, inputs = SteeringNetwork().features, torch.randn(pictures, 3, 128, 128)
     assert isinstance(features, FasterLayers)
     torch.testing.assert_close(features.with_wider_convolutions(inputs), features(inputs))
 
