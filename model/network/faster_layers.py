@@ -3,8 +3,8 @@ driving."""
 
 from __future__ import annotations
 
-import itertools
 import os
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -150,10 +150,13 @@ class FasterLayers(nn.Sequential):
 
     def with_wider_convolutions(self, inputs: Tensor) -> Tensor:
         """Equal to the layers, except for rounding; for a GPU."""
-        for layer, following in itertools.zip_longest(self, list(self)[1:]):
-            if isinstance(layer, nn.Conv2d) and isinstance(following, nn.MaxPool2d):
+        layers = deque(self)
+        while layers:
+            layer = layers.popleft()
+            if isinstance(layer, nn.Conv2d) and layers and isinstance(layers[0], nn.MaxPool2d):
+                layers.popleft()
                 inputs = pooled_convolution(layer, inputs)
-            elif not isinstance(layer, nn.MaxPool2d):
+            else:
                 inputs = layer(inputs)
         return inputs
 

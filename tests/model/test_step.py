@@ -115,6 +115,13 @@ def test_a_wide_convolution_is_a_convolution_and_its_pooling(
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
 
 
+def test_wide_convolutions_leave_no_other_pooling_out() -> None:
+    torch.manual_seed(4)
+    features = FasterLayers(nn.Conv2d(3, 4, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Conv2d(4, 5, 3))
+    inputs = torch.randn(2, 3, 12, 12)
+    torch.testing.assert_close(features.with_wider_convolutions(inputs), features(inputs))
+
+
 @pytest.mark.parametrize("pictures", [2, 0])  # none: no picture of a batch decodes
 def test_wide_convolutions_see_what_the_layers_of_the_network_see(pictures: int) -> None:
     torch.manual_seed(4)
