@@ -71,7 +71,9 @@ class TrainingSteps:
     def _record(self, pictures: Tensor, labels: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
         """A function that takes a step on any batch of this shape. It trains the same network."""
         kept_pictures, kept_labels = torch.empty_like(pictures), torch.empty_like(labels)
-        replay, squared_error = record(lambda: self._take(kept_pictures, kept_labels, self._batch))
+        replay, squared_error = record(
+            lambda: self._take(kept_pictures, kept_labels, self._batch), self._machine.device
+        )
 
         def take(pictures: Tensor, labels: Tensor) -> Tensor:
             kept_pictures.copy_(pictures)
@@ -82,10 +84,13 @@ class TrainingSteps:
         return take
 
 
-def record(calculate: Callable[[], Tensor]) -> tuple[Callable[[], None], Tensor]:
-    """Record a calculation on the GPU without running it. Returns a function that runs it, and the tensor that
-    then holds its result."""
+def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
+    """Record a calculation on the GPU `device` without running it. Returns a function that runs it, and the tensor
+    that then holds its result."""
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph, capture_error_mode="thread_local"):  # other threads may use the GPU meanwhile
+    with (
+        torch.cuda.device(device),  # on another GPU, nothing would be recorded, and no error raised
+        torch.cuda.graph(graph, capture_error_mode="thread_local"),  # other threads may use the GPU meanwhile
+    ):
         result = calculate()
     return graph.replay, result

@@ -3,9 +3,11 @@ bfloat16."""
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -133,9 +135,10 @@ def test_wide_convolutions_see_what_the_layers_of_the_network_see(pictures: int)
 def steps_taken(monkeypatch: pytest.MonkeyPatch, *, can_record: bool) -> tuple[list[float], Tensor, int]:
     """Squared errors and last weights of seven batches, the third and the last one smaller; and how many times a
     step was recorded. A processor takes the place of the GPU: it calculates what the GPU would replay."""
-    recorded = []
+    recorded: list[Tensor] = []
 
-    def record(calculate: Callable[[], Tensor]) -> tuple[Callable[[], None], Tensor]:
+    def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
+        assert device == machine.device
         result = torch.zeros(())
         recorded.append(result)
 
@@ -163,3 +166,24 @@ def test_replayed_steps_learn_what_single_ones_learn(monkeypatch: pytest.MonkeyP
     assert (recorded, none) == (1, 0)
     assert errors == expected
     assert torch.equal(weights, learnt)
+
+
+def test_a_step_is_recorded_on_the_gpu_that_trains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyTorch's current GPU may be another one. There, PyTorch would record nothing and raise no error."""
+    current, recording = [torch.device("cuda:1")], []
+
+    @contextlib.contextmanager
+    def made_current(device: torch.device) -> Iterator[None]:
+        current.append(device)
+        yield
+        current.pop()
+
+    def graph(graph: object, **settings: str) -> contextlib.AbstractContextManager[None]:
+        recording.append(current[-1])
+        return contextlib.nullcontext()
+
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: SimpleNamespace(replay=lambda: None))
+    monkeypatch.setattr(torch.cuda, "device", made_current)
+    monkeypatch.setattr(torch.cuda, "graph", graph)
+    _, result = training_steps.record(lambda: torch.ones(()), torch.device("cuda:0"))
+    assert (float(result), recording, current) == (1, [torch.device("cuda:0")], [torch.device("cuda:1")])
