@@ -169,7 +169,8 @@ class FasterLayers(nn.Sequential):
 
 def pooled_convolution(layer: nn.Conv2d, inputs: Tensor) -> Tensor:
     """Equal to `layer`, then `nn.MaxPool2d(2)`, except for rounding: (N, channels, height, width) to a tensor of
-    the same axes. The layer has an odd, square kernel, stride 1 and no padding.
+    the same axes. The layer has an odd, square kernel, stride 1 and no padding. If the values of a maximum are
+    equal, the last gets the gradient, not the first.
 
     A GPU calculates a convolution as a product of matrices, and 3 or 24 channels waste most of it. So each 2 x 2
     pixels become one pixel of 4 times the channels, and the four values of each maximum become four outputs, from
@@ -183,7 +184,7 @@ def pooled_convolution(layer: nn.Conv2d, inputs: Tensor) -> Tensor:
     pixels = pixels[:, : 2 * height + side - 1, : 2 * width + side - 1]
     shape = len(pixels), height + blocks - 1, 2, width + blocks - 1, 2, channels
     pixels = pixels.reshape(shape).transpose(2, 3).flatten(3)
-    # (outputs, channels, down, right, row, column): moved down and right by 0 or 1 pixel
+    # (outputs, channels, down, right, row, column): moved down and right by 1 or 0 pixels
     kernels = functional.pad(layer.weight.to(pixels.dtype), (1, 1, 1, 1))
     kernels = kernels.unfold(2, side + 1, 1).unfold(3, side + 1, 1)
     kernels = kernels.reshape(-1, channels, 2, 2, blocks, 2, blocks, 2).permute(2, 3, 0, 4, 6, 5, 7, 1)
