@@ -8,6 +8,7 @@ import copy
 import functools
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -98,6 +99,32 @@ def test_bfloat16_learns_what_pytorchs_own_layers_do_bit_for_bit() -> None:
         reference.step()
     for mine, other in zip(network.parameters(), plain.parameters(), strict=True):
         assert torch.equal(mine, other)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_a_step_keeps_no_part_of_its_gradient_for_the_next(dtype: torch.dtype) -> None:
+    """A kept node would stay on the stream of the step that made it, and the recording of the next step would
+    fail (pytorch/pytorch#64339)."""
+    torch.manual_seed(3)
+    network = SmallNetwork(outputs=2)
+    network.outputs = 2
+
+    def nodes() -> list[Any]:
+        """For each weight, the node that adds up its gradient."""
+        views: list[Any] = [parameter.view_as(parameter) for parameter in network.parameters()]
+        return [view.grad_fn.next_functions[0][0] for view in views]
+
+    def mark(*arguments: object) -> None:
+        for node in nodes():
+            node.metadata["marked"] = True
+        assert all(node.metadata for node in nodes())  # the same nodes, while the gradient needs them
+
+    network.register_forward_hook(mark)
+    height, width, _ = SmallNetwork.PICTURE.shape
+    pictures, labels = torch.zeros((3, 3, height, width), dtype=torch.uint8), torch.tensor([[0.5, torch.nan]] * 3)
+    optimizer = Adam(network.parameters(), 1e-3)
+    error = training_step(network, optimizer, pictures, labels, dtype=dtype, micro_batch=2)
+    assert not any(node.metadata for node in nodes()), error
 
 
 @pytest.mark.parametrize(
