@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from recorder import topics
+from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.rows.road_edge import FARTHEST_M, Values, beyond_edge_m
 from recorder.rows.row_quality import States
@@ -47,7 +48,10 @@ def states_of(log: Log) -> States:
     states = States.of(log.vehicle())
     if not log.counts.get(topics.POSE):
         return states
-    table = log.numbers(topics.POSE, _FIELDS)
+    try:
+        table = log.numbers(topics.POSE, _FIELDS)
+    except LogError:  # a message that is no pose: the rest of a check does not need it
+        return states
     return _placed(states, log.metadata, table["row"].to_numpy(), [table[name].to_numpy() for name in _FIELDS])
 
 
