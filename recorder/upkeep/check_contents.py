@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError
 
 from common.stretches import consecutive
@@ -25,7 +26,7 @@ from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 from recorder.rows.odd_stretches import OddStretch, odd_stretches, rows_named
 from recorder.rows.row_quality import STANDING_MPH, StatesWritten, row_flags
-from recorder.topics import CAMERA_TOPICS, LOG_MESSAGE, TOPICS, VEHICLE_STATE, camera_topic
+from recorder.topics import CAMERA_TOPICS, LOG_MESSAGE, POSE_IN_FRAME, TOPICS, VEHICLE_STATE, camera_topic
 
 GAPS: Final = "gaps in time"
 ODD_FINDINGS: Final = {
@@ -72,6 +73,7 @@ class Contents:
 
         self._vehicle = channels(topics.VEHICLE, VEHICLE_STATE.name)
         self._events = channels(topics.EVENTS, LOG_MESSAGE.name)
+        self._poses = channels(topics.POSE, POSE_IN_FRAME.name)
         self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
         self._bad_telemetry: Counter[str] = Counter()
         self._not_recorded = NotRecorded()
@@ -115,6 +117,11 @@ class Contents:
             self._add_picture(topic, records, message)
         elif message.channel in self._events:
             self._add_event(topic, records, message)
+        elif message.channel in self._poses:
+            try:
+                PoseInFrame.FromString(records[message.offset : message.offset + message.length])
+            except DecodeError:
+                self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
 
     def _add_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
         at, length = image_data(records, message.offset, message.length)

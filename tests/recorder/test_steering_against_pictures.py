@@ -97,7 +97,9 @@ def test_a_pose_that_cannot_be_read_leaves_the_pictures_to_decide(tmp_path: Path
             writer.copy(schema, channel, message, message.sequence)
     assert found_in(whole) == []
     assert found_in(drive) == [pytest.approx([at_s * RATE_HZ for at_s in WRONG_S], abs=10)]
-    assert [odd.kind for odd in check(drive).odd if odd.is_shown] == ["steering_against_pictures"]
+    checked = check(drive)
+    assert ("messages that do not match their schema", "/pose row 300") in checked.findings
+    assert [odd.kind for odd in checked.odd if odd.is_shown] == ["steering_against_pictures"]
 
 
 def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(
