@@ -1,7 +1,7 @@
 """The training steps of a network. On a GPU, a step is recorded once as a CUDA graph, then replayed.
 
 Python starts the operations of a step one by one, more slowly than a fast GPU calculates them: on an H200, a step
-of `original` took 8.7 instead of 3.8 ms.
+of `original` took 8.7 instead of 4.1 ms.
 """
 
 from __future__ import annotations
