@@ -7,7 +7,8 @@ rewards.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from numbers import Real
 from typing import Any, Final
 
 import cv2
@@ -18,6 +19,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from common.car import CAMERAS, Camera
+from common.errors import first_of
 from simulator.driving.expert import Expert
 from simulator.driving.recovery_driving import steps_each
 from simulator.driving.simulation import Simulation
@@ -60,8 +62,9 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         """Raises ValueError if the track or a camera does not exist, if the rate does not divide 50, or if `laps`
         is not above 0."""
-        if not cameras or set(cameras) - set(CAMERAS):
-            raise ValueError(f"cameras={cameras!r}: expected some of {', '.join(CAMERAS)}")
+        if not cameras or not isinstance(cameras, Collection) or any(name not in CAMERAS for name in cameras):
+            raise ValueError(f"cameras={cameras!r}: expected a list of some of {', '.join(CAMERAS)}")
+        rate_hz, laps = _number("rate_hz", rate_hz), _number("laps", laps)
         if not 0.0 < laps < math.inf:
             raise ValueError(f"laps={laps!r}: expected a number above 0")
         if render_mode not in (None, "rgb_array"):
@@ -91,7 +94,10 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
         drawn_m = self.np_random.uniform(0.0, self._simulation.track.line.length_m)
-        start_m = float((options or {}).get("start_m", drawn_m))
+        given = {"start_m": drawn_m} | (options or {})
+        if unknown := given.keys() - {"start_m"}:
+            raise ValueError(f"options={options!r}: no option {first_of(sorted(map(str, unknown)))}; only start_m")
+        start_m = _number("start_m", given["start_m"])
         if not math.isfinite(start_m):
             raise ValueError(f"start_m={start_m!r}: expected a number of metres along the road")
         self.course.start(start_m)
@@ -149,6 +155,12 @@ class HairpinRoadEnv(DrivingEnv):
 
     def __init__(self, seed: int = 0, **settings: Any) -> None:
         super().__init__(_road("hairpins", seed), **settings)
+
+
+def _number(name: str, value: object) -> float:
+    if not isinstance(value, Real):
+        raise ValueError(f"{name}={value!r}: expected a number, not {type(value).__name__}")
+    return float(value)
 
 
 def _road(kind: str, seed: int) -> str:

@@ -146,7 +146,11 @@ def test_many_at_once_do_what_one_does(lake: gymnasium.Env[Any, Any]) -> None:
     [
         ({"cameras": ("rear",)}, "center, left, right"),
         ({"cameras": ()}, "center, left, right"),
+        ({"cameras": "center"}, "a list of some of center, left, right"),
+        ({"cameras": 3}, "^cameras=3: expected a list"),
         ({"laps": math.nan}, "above 0"),
+        ({"laps": None}, "^laps=None: expected a number, not NoneType"),
+        ({"rate_hz": "10"}, "^rate_hz='10': expected a number, not str"),
         ({"rate_hz": 30.0}, r"^rate_hz=30\.0: it must divide 50"),
         ({"render_mode": "human"}, "rgb_array"),
     ],
@@ -175,6 +179,14 @@ def test_a_start_that_is_none_and_a_step_before_a_reset_are_refused() -> None:
         env.step(NOTHING)
     with pytest.raises(ValueError, match="start_m"):
         env.reset(options={"start_m": math.inf})
+    with pytest.raises(ValueError, match=r"^start_m=None: expected a number"):
+        env.reset(options={"start_m": None})
+
+
+def test_an_option_of_the_reset_that_does_not_exist_is_named(lake: gymnasium.Env[Any, Any]) -> None:
+    with pytest.raises(ValueError, match="no option start; only start_m"):
+        lake.reset(options={"start": 100.0})
+    lake.reset(options={})
 
 
 def test_the_simulator_is_imported_where_gymnasium_is_not_installed() -> None:
