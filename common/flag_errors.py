@@ -42,7 +42,8 @@ def flag_errors_in_one_line(config: Any) -> Iterator[None]:
 
 def _line_of(event: Any, config: Any) -> str:
     subcommands = {name for name in _names_of(config) if not name.startswith("-")}
-    help_line = f"`{' '.join([event.prog, *subcommands.intersection(sys.argv[1:2])])} --help-all` has all flags"
+    command = dict.fromkeys([*event.prog.split(), *subcommands.intersection(sys.argv[1:2])])
+    help_line = f"`{' '.join(command)} --help-all` has all flags"
     match type(event).__name__:
         case "UnrecognizedArgs":
             return f"{_unknown(event.tokens, config)}; {help_line}"
@@ -92,8 +93,13 @@ def _too_many(word: str, config: Any) -> str:
     too_many = f"{word}: one word too many"
     before = sys.argv[1 : sys.argv.index(word)] if word in sys.argv[1:] else []
     flags = [place for place, token in enumerate(before) if token.startswith("--")]
-    hints = {} if get_origin(config) in (Union, UnionType) else get_type_hints(config, include_extras=True)
-    if flags:
+    switch = next((token for token in sys.argv[1:] if token.endswith(f"={word}")), "")
+    if switch and word not in sys.argv[1:]:
+        return f"{switch}: {switch.partition('=')[0]} takes no value"
+    kinds = (kind for kind in get_args(config) if kind.__metadata__[0].name in sys.argv[1:2])
+    command = next((kind.__origin__ for kind in kinds), config)
+    if flags and dataclasses.is_dataclass(command):
+        hints = get_type_hints(command, include_extras=True)
         after = f"{too_many} after {' '.join(before[flags[-1] :])}"
         if any(_takes_several_words(hint) for hint in hints.values()):
             return f"{after}; put words without a flag before all flags"

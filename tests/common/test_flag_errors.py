@@ -61,6 +61,18 @@ def test_what_a_flag_takes_is_said_in_words(
             ["a", "--takeover", "you"],
             "bc-drive: you: one word too many after --takeover expert; --takeover is expert or me;",
         ),
+        (
+            bc_log,
+            ["ls", "a", "--json", "b"],
+            "bc-log: b: one word too many after --json; put words without a flag",
+        ),
+        (bc_log, ["ls", "b", "--sort", "name", "a"], "bc-log: a: one word too many after --sort name; put words"),
+        (
+            bc_log,
+            ["ls", "--sort"],
+            "bc-log: --sort: expected {newest,name,rows,duration} after it; `bc-log ls --help-",
+        ),
+        (bc_log, ["ls", "a", "--json=1"], "bc-log: --json=1: --json takes no value; `bc-log ls --help-all`"),
         (bc_record, ["--laps", "1"], "bc-record: NAME is missing"),
         (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help-all` has all flags"),
     ],
