@@ -160,10 +160,9 @@ def _words_after(argument: Any) -> list[str]:
 
 
 def _expected(argument: Any) -> str:
-    """The values that a flag expects: "two whole numbers" for tyro's "{None}|{INT INT}"; other types as in
-    `--help`."""
-    metavar = str(argument.lowered.metavar).replace("{None}|", "")
-    kinds = metavar.strip("{}").split()
+    """The values that a flag expects: "two whole numbers" for "INT INT"; other types as in `--help`."""
+    metavar = str(argument.lowered.metavar)
+    kinds = metavar.split()
     if kinds and kinds[0] in _NUMBERS and set(kinds) == {kinds[0]} and len(kinds) in _COUNTS:
         return f"{_COUNTS[len(kinds)]} {_NUMBERS[kinds[0]]}{'s' * (len(kinds) > 1)}"
     return metavar

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Final, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, NoReturn, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
 _HELP_ALL: Final = "--help-all"
-_TEXTS: Final = "help_behavior_hint", "metavar"
-_WORDS: Final[dict[Any, str]] = {int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
 
 
 def asks_for_help(words: Sequence[str]) -> bool:
@@ -55,17 +52,12 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
             factory = shown_by_help(kind, with_rare)
             hint = Annotated[(factory, *notes)]
         else:
-            has = {name for name in _TEXTS for note in notes if getattr(note, name, None)}
+            has_text = any(getattr(note, "help_behavior_hint", None) for note in notes)
             is_off = default in (None, (), "") or isinstance(default, bool)
-            texts: dict[str, Any] = {}
-            if is_off and "help_behavior_hint" not in has and tyro.conf.UseAppendAction not in notes:
-                texts["help_behavior_hint"] = ""
+            if is_off and not has_text and tyro.conf.UseAppendAction not in notes:
+                hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="")]
             if default is factory is dataclasses.MISSING and get_origin(kind) is tuple:
-                texts["help_behavior_hint"] = "(required)"  # tyro writes "(default: )"
-            if "metavar" not in has and type(None) in get_args(kind):
-                texts["metavar"] = _metavar(kind)
-            if texts:
-                hint = Annotated[hint, tyro.conf.arg(**texts)]
+                hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="(required)")]  # tyro writes "(default: )"
         if hint is not hints[flag.name]:
             values = {"default": default, "default_factory": factory}
             arguments: dict[str, Any] = {
@@ -75,19 +67,6 @@ def shown_by_help(config: Any, with_rare: bool) -> Any:
     shown = dataclasses.make_dataclass(config.__name__, changed, bases=(config,), frozen=True)
     shown.__doc__ = config.__doc__
     return shown
-
-
-def _metavar(kind: Any) -> str:
-    """The words after a flag of a type: "FLOAT" for `float | None`, for which tyro writes "{None}|FLOAT"."""
-    if metavar := next((note.metavar for note in getattr(kind, "__metadata__", ())), ""):
-        return str(metavar)
-    if get_origin(kind) is Literal:
-        return f"{{{','.join(get_args(kind))}}}"
-    if get_origin(kind) is tuple:
-        return " ".join(map(_metavar, get_args(kind)))
-    if get_origin(kind) in (Union, UnionType):
-        return "|".join(_metavar(member) for member in get_args(kind) if member is not type(None))
-    return _WORDS.get(kind) or str(kind.__name__).upper()
 
 
 def _rare(config: Any) -> list[str]:
