@@ -7,6 +7,7 @@ import html
 import json
 import os
 import re
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from urllib.parse import urlencode
 import pytest
 
 from driving import Process, command
+from logs import write_log
 from ports import free_ports
 from recorder import Log
 from waiting import wait_until
@@ -66,6 +68,15 @@ def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
     assert words in text(bench, "/jobs")
     assert re.search(r'class="last dim">next: <code>[^<]*bc-index', bench.get("/jobs").text)
     assert bench.get(re.findall(r'href="(/sessions/[^"]*)"', bench.get(job).text)[0]).status == 200
+
+
+def test_a_field_of_several_names_takes_blanks_in_double_quotes(bench: Served) -> None:
+    write_log(bench.folder / "sessions" / "my drive.mcap", [0.1] * 3)
+    assert '<option value="&#34;my drive&#34;">' in bench.get("/jobs").text  # suggested as it is taken
+    asked = {"form": "index", "sessions": """"my drive" it's 5"wide"""}
+    assert shlex.split(bench.get(f"/jobs.command?{urlencode(asked)}").text)[:4] == [
+        "bc-index", "my drive", "it's", '5"wide',
+    ]  # fmt: skip
 
 
 def test_what_the_command_refuses_it_says(bench: Served) -> None:

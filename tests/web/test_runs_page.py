@@ -6,6 +6,7 @@ import base64
 import html
 import json
 import re
+import shlex
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -191,6 +192,18 @@ def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     for words in ("--crop-rows 0 20", "--answers=as-learnt", "--average-steps=1", "--alter-each-epoch move zoom"):
         assert words in command
     assert "--channels=YUV" in command
+
+
+def test_train_again_repeats_sessions_with_blanks_in_their_names(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "mine")
+    config = json.loads((run / "config.json").read_text())
+    config |= {"index": "index-mine"}
+    config["data"]["logs"] = {"my drive": {}, "it's": {}}
+    (run / "config.json").write_text(json.dumps(config))
+    command = shlex.split(train_again(tmp_path, "mine"))
+    on = command.index("--on")
+    assert command[on + 1 : on + 3] == ["my drive", "it's"]
+    assert command[on + 3].startswith("--")
 
 
 def test_train_again_repeats_the_takeovers(tmp_path: Path) -> None:

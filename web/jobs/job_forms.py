@@ -6,7 +6,8 @@ choices, in its first second.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, get_args
@@ -17,7 +18,7 @@ from model.config import Answers, Light, TrainConfig
 from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
 from web.errors import WebError
-from web.folders.project_folders import ProjectFolders, key_of
+from web.folders.project_folders import ProjectFolders, key_of, shown_name
 
 MAX_CHARACTERS: Final = 1000  # of a value
 
@@ -31,6 +32,25 @@ def as_argument(word: str) -> str:
     return word
 
 
+def in_one_field(words: Iterable[str]) -> str:
+    """The value of a field with several words, in double quotes where they have blanks; "" if a field cannot hold
+    them."""
+    words = list(words)
+    value = " ".join(f'"{word}"' if word.split() != [word] else word for word in words)
+    return value if _words_in(value) == words else ""
+
+
+def suggested_sessions(folders: ProjectFolders) -> list[str]:
+    """The names of the sessions, as a field with several words takes them."""
+    names = map(shown_name, folders.logs("sessions").values())
+    return sorted(filter(None, (in_one_field([name]) for name in names)))
+
+
+def _words_in(value: str) -> list[str]:
+    words = re.findall(r'(?:"[^"]*"|\S)+', value)
+    return [re.sub(r'"([^"]*)"', r"\1", word) for word in words]
+
+
 @dataclass(frozen=True)
 class Field:
     """A value of a form. `flag` is None for `--name`, "" for words without a flag."""
@@ -41,7 +61,7 @@ class Field:
     hint: str = ""  # the command's default
     choices: tuple[str, ...] = ()
     suggestions: Suggestions = ""  # names that the page suggests
-    is_several: bool = False  # words, separated by blanks
+    is_several: bool = False  # words, separated by blanks; with blanks in double quotes
     is_switch: bool = False  # given or not
     is_needed: bool = False
     is_more: bool = False  # folded: few people change it
@@ -58,7 +78,7 @@ class Field:
             return [flag] if value else []
         if flag and not self.is_several:
             return [f"{flag}={value}"]
-        parts = value.split() if self.is_several else [value]
+        parts = _words_in(value) if self.is_several else [value]
         return [*([flag] if flag else []), *map(as_argument, parts)]
 
 

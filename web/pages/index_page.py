@@ -21,7 +21,7 @@ from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.errors import WebError
 from web.folders.file_versions import version_of
-from web.folders.project_folders import key_of, shown_name
+from web.folders.project_folders import key_of
 from web.index.altered_samples import AlteredSamples, altered_samples
 from web.index.index_view import (
     IndexView,
@@ -31,7 +31,7 @@ from web.index.index_view import (
     split_sketch,
     view_index,
 )
-from web.jobs.job_forms import INDEX_FIELDS, form_of
+from web.jobs.job_forms import INDEX_FIELDS, form_of, suggested_sessions
 from web.logs.session_cards import IndexState
 from web.pages.request_values import Values, number_in, on_form
 from web.pages.workbench import Workbench
@@ -61,7 +61,7 @@ def index_routes(bench: Workbench) -> list[Route]:
             trial=trial,
             values=values,
             fields=INDEX_FIELDS,
-            project_sessions=sorted(map(shown_name, bench.folders.logs("sessions").values())),
+            project_sessions=suggested_sessions(bench.folders),
             now=now,
             then=then,
             is_missing=not (index / SAMPLES_NAME).exists() and not store_problem,

@@ -11,8 +11,7 @@ from starlette.routing import Route
 
 from common.errors import printable
 from web.errors import WebError
-from web.folders.project_folders import shown_name
-from web.jobs.job_forms import FORMS, form_of
+from web.jobs.job_forms import FORMS, form_of, suggested_sessions
 from web.jobs.jobs import Job
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
@@ -23,7 +22,7 @@ def job_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = bench.jobs.version()
         names = {
-            "sessions": sorted(map(shown_name, bench.folders.logs("sessions").values())),
+            "sessions": suggested_sessions(bench.folders),
             "runs": sorted(printable(path.name) for path in bench.folders.run_folders().values()),
         }
         values = dict(request.query_params)

@@ -25,6 +25,7 @@ from model.runs.network_of_run import is_own_network
 from model.runs.run_config import load_config
 from web.errors import WebError
 from web.folders.project_folders import PLACES, ProjectFolders, as_word, key_of
+from web.jobs.job_forms import in_one_field
 from web.pages.changes import runs_version
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
@@ -110,7 +111,9 @@ def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> st
     for name, value in _changed(settings, TrainConfig.of(settings.recipe)).items():
         values[name] = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
     if str(config.get("index")).endswith(f"index-{card.path.name}"):  # of --on
-        values["on"] = " ".join(run.sessions)
+        values["on"] = in_one_field(run.sessions)
+        if not values["on"]:
+            return ""
     values["init"] = init
     return urlencode({"start": "train", **{name: value for name, value in values.items() if value}})
 
