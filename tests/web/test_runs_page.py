@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 import pytest
@@ -206,18 +207,42 @@ def test_train_again_repeats_sessions_with_blanks_in_their_names(tmp_path: Path)
     assert command[on + 3].startswith("--")
 
 
-def test_train_again_repeats_the_takeovers(tmp_path: Path) -> None:
-    a_run(tmp_path / "runs", "first")
-    write_log(tmp_path / "drives" / "helped.mcap", [0.1] * 10)
-    run = a_run(tmp_path / "runs", "second", **asdict(TrainConfig(epochs=3)))
+def a_run_of_takeovers(project: Path, *drives: str, **training: Any) -> None:
+    """The run "second", which has learnt from these drives after the run "first"."""
+    a_run(project / "runs", "first")
+    run = a_run(project / "runs", "second", **asdict(TrainConfig.of("people")) | {"epochs": 3} | training)
     config = json.loads((run / "config.json").read_text())
     config |= {"index": "index-second", "init": {"run": "first"}}
-    config["data"] |= {"logs": {"sunday": {}, "monday": {}, "helped": {}}, "settings": {"drives": "takeovers"}}
+    config["data"] |= {
+        "logs": {name: {} for name in ("sunday", "monday", *drives)},
+        "settings": {"drives": "takeovers"},
+    }
     (run / "config.json").write_text(json.dumps(config))
-    command = train_again(tmp_path, "second")
-    assert command.startswith("bc-train --init=first --takeovers=")
-    assert "helped.mcap --epochs=3" in command
+
+
+@pytest.mark.parametrize("drives", [["helped"], ["helped", "helped again"]], ids=len)
+def test_train_again_repeats_the_takeovers(tmp_path: Path, drives: list[str]) -> None:
+    logs = [str(write_log(tmp_path / "drives" / f"{name}.mcap", [0.1] * 10)) for name in drives]
+    a_run_of_takeovers(tmp_path, *drives)
+    command = shlex.split(train_again(tmp_path, "second"))
+    assert command[: 3 + len(logs)] == ["bc-train", "--init=first", "--takeovers", *logs]
+    assert command[3 + len(logs) :][:2] == ["--epochs=3", "--recipe=people"]
     assert "--on" not in command
+
+
+@pytest.mark.parametrize(
+    ("kept", "training"), [(["helped"], {}), (["helped", "gone"], {"seed": 1})], ids=["gone", "seed"]
+)
+def test_takeovers_that_the_form_cannot_repeat_are_not_trained_again(
+    tmp_path: Path, kept: list[str], training: dict[str, Any]
+) -> None:
+    """A drive has gone, or the form has no seed."""
+    for name in kept:
+        write_log(tmp_path / "drives" / f"{name}.mcap", [0.1] * 10)
+    a_run_of_takeovers(tmp_path, "helped", "gone", **training)
+    with served(tmp_path) as bench:
+        wait_until(lambda: "Evaluate" in bench.get("/runs/second/top").text)
+        assert "Train again" not in bench.get("/runs/second/top").text
 
 
 def test_a_network_of_ones_own_code_is_not_trained_again_there(tmp_path: Path) -> None:

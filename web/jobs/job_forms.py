@@ -37,7 +37,7 @@ def in_one_field(words: Iterable[str]) -> str:
     them."""
     words = list(words)
     value = " ".join(f'"{word}"' if word.split() != [word] else word for word in words)
-    return value if _words_in(value) == words else ""
+    return value if _words_in(value) == words and len(value) <= MAX_CHARACTERS else ""
 
 
 def suggested_sessions(folders: ProjectFolders) -> list[str]:
@@ -252,9 +252,10 @@ FORMS: Final[Sequence[JobForm]] = (
         ("bc-train",),
         (
             Field("run", "run", "--init", suggestions="runs", is_needed=True),
-            Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_needed=True),
+            Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_several=True, is_needed=True),
             Field("name", "name of the new run", hint="date and time"),
             Field("epochs", "epochs", hint="10"),
+            Field("recipe", "recipe", hint=_TRAIN.recipe, choices=get_args(Recipe), is_more=True),
         ),
         ("index", "sessions", "drives", "runs"),
         lambda values: _run({"name": values.get("name", "")}),

@@ -22,7 +22,7 @@ from recorder.sources.frame_rate import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
 from web.errors import WebError
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
-from web.jobs.job_forms import as_argument, form_of
+from web.jobs.job_forms import as_argument, form_of, in_one_field
 from web.jobs.jobs import Job
 
 TRACKS: Final = ("lake", "mountain", "random", "hairpins")
@@ -122,7 +122,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
-        values = {"run": name, "takeovers": str(log), "name": run, "epochs": str(EPOCHS_MORE)}
+        values = {"run": name, "takeovers": in_one_field([str(log)]), "name": run, "epochs": str(EPOCHS_MORE)}
         return [*form_of("learn").words(values, folders), f"--recipe={TAKEOVERS_RECIPE}"], run
     with Log(log) as session:
         epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
@@ -146,7 +146,8 @@ def quick_epochs(rows: int) -> int:
 def is_training_on(job: Job, log: Location) -> bool:
     """Whether a job trains or trained on that log."""
     words = job.about.words
-    return words[-2:] == ["--on", final_name(log.name).removesuffix(".mcap")] or f"--takeovers={log}" in words
+    is_on = words[-2:] == ["--on", final_name(log.name).removesuffix(".mcap")]
+    return is_on or (words[0] == "bc-train" and str(log) in words)  # of --takeovers
 
 
 def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:

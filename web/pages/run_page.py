@@ -102,10 +102,11 @@ def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> st
         return ""
     init = str(config["init"].get("run") or "") if isinstance(config.get("init"), dict) else ""
     if _learnt_from_takeovers(config):
-        log = _takeovers(bench, run.sessions, init)
-        if not log or _changed(settings, TrainConfig()).keys() - _OF_INIT:
+        logs = _takeovers(bench, run.sessions, init)
+        if not logs or _changed(settings, TrainConfig.of(settings.recipe)).keys() - _OF_INIT:
             return ""
-        return urlencode({"start": "learn", "run": init, "takeovers": log, "epochs": settings.epochs})
+        values = {"run": init, "takeovers": logs, "epochs": settings.epochs, "recipe": settings.recipe}
+        return urlencode({"start": "learn", **values})
     values = {"network": run.network, "epochs": str(run.epochs_asked)}
     values |= {"recipe": run.recipe, "targets": " ".join(run.targets), "seed": str(run.seed)}
     for name, value in _changed(settings, TrainConfig.of(settings.recipe)).items():
@@ -134,12 +135,14 @@ def _learnt_from_takeovers(config: Mapping[str, Any]) -> bool:
 
 
 def _takeovers(bench: Workbench, sessions: Sequence[str], init: str) -> str:
-    """The drive among the sessions of a run from which its first run `init` has not learnt; "" if there is not
-    exactly one."""
+    """The drives among the sessions of a run from which its first run `init` has not learnt, as the value of a
+    field; "" if one is not in the folder of drives."""
     earlier = next((card.summary for card in bench.runs.cards(PATIENCE_S) if card.name == init), None)
-    added = set(sessions) - set(earlier.sessions) if earlier is not None else set()
-    drives = [log for log in bench.folders.logs("drives").values() if log.name.removesuffix(".mcap") in added]
-    return as_word(drives[0]) if len(drives) == len(added) == 1 else ""
+    if earlier is None:
+        return ""
+    drives = {log.name.removesuffix(".mcap"): as_word(log) for log in bench.folders.logs("drives").values()}
+    added = [drives.get(name, "") for name in sessions if name not in earlier.sessions]
+    return in_one_field(added) if all(added) else ""
 
 
 def _is_of_index(run: Path, index: Path) -> bool:
