@@ -69,6 +69,8 @@ def list_runs(config: Runs) -> int:
         _print_json(runs)
     elif runs:
         print_table(_table(runs))
+        for line in _words_explained(runs):
+            print_message(line)
         if notice := different_frames(runs):
             print_message(notice)
         if (verdict := in_order(runs, "newest")[0].verdict) is not None:
@@ -159,6 +161,17 @@ def _table(runs: Sequence[RunSummary]) -> Table:
             *([escape(printable(driven_words(run.drives, run.supervised)))] if has_driven else []),
         )
     return table
+
+
+def _words_explained(runs: Sequence[RunSummary]) -> list[str]:
+    from model.runs.verdict import NO_BETTER, UNKNOWN
+
+    meanings = {
+        NO_BETTER: "than always predicting the mean, on turns, in the driving error or in the RMSE",
+        UNKNOWN: "nothing was held out, or no epoch has ended",
+    }
+    shown = {run.verdict.in_short for run in runs if run.verdict}
+    return [f"{word}: {meaning}" for word, meaning in meanings.items() if word in shown]
 
 
 def _network_words(run: RunSummary) -> str:

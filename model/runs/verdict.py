@@ -20,6 +20,8 @@ from model.runs.run_numbers import RunNumbers
 
 OF_THE_MEAN: Final = 2.0
 """The driving error of always predicting the mean."""
+NO_BETTER: Final = "no better"
+UNKNOWN: Final = "unknown"
 _A_WHOLE_LAP: Final = 0.99
 """A drive may end one message before the line."""
 _UNKNOWN: Final = Drivable(None, "")
@@ -63,12 +65,12 @@ class Verdict:
     @property
     def in_short(self) -> str:
         """The verdict in one to three words, for a table."""
-        if not self.beside_mean:
-            return "-"
         if self.is_no_better and self.interventions != 0:  # a clean drive shows more than its errors
-            return "no better"
+            return NO_BETTER
         if self.interventions is not None:
             return "leaves the road" if self.interventions else "drives"
+        if not self.beside_mean:
+            return UNKNOWN
         return {True: "enough", False: "too weak", None: "perhaps"}[self.drivable.is_enough]
 
     @property

@@ -43,6 +43,26 @@ def test_runs_stand_beside_one_another(
     assert " ".join(row[8:]) == "no better 10 mph: lake 2"
 
 
+def test_the_words_of_the_verdict_are_explained_where_they_are_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    blind = a_run(tmp_path, "blind") / "metrics.jsonl"
+    blind.write_text(json.dumps(epoch_line(1, frames=0)) + "\n")
+    assert call(bc_runs, "--runs", tmp_path) == 0
+    printed = capsys.readouterr()
+    assert printed.out.split()[-4:] == ["-", "-", "-", "unknown"]
+    assert "unknown: nothing was held out, or no epoch has ended" in printed.err
+    assert "no better" not in printed.err
+    keep_result(blind.parent, "simulator", drive("lake", 0))
+    a_run(tmp_path, "measured")
+    assert call(bc_runs, "--runs", tmp_path, "--sort", "name") == 0
+    printed = capsys.readouterr()
+    assert "- drives" in " ".join(printed.out.split())  # a drive says more than an error
+    assert "no better: than always predicting the mean, on turns" in printed.err
+    assert "unknown" not in printed.err
+
+
 def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
