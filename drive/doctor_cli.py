@@ -33,9 +33,8 @@ class Doctor:
 
 def doctor(config: Doctor) -> int:
     if not config.project.is_dir():
-        raise UserError(
-            f"{config.project}: no such folder; give the folder of a project, which has sessions/ or runs/"
-        )
+        problem = "a file, not a folder" if config.project.exists() else "no such folder"
+        raise UserError(f"{config.project}: {problem}; give the folder of a project, which has sessions/ or runs/")
     from drive.doctor import examine  # NumPy, Arrow
 
     with contextlib.chdir(config.project):  # the printed commands are for this folder

@@ -161,6 +161,9 @@ def test_it_needs_no_pytorch() -> None:
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, tmp_path / "nowhere") == 1
     assert "nowhere: no such folder" in capsys.readouterr().err
+    (tmp_path / "a.mcap").touch()
+    assert call(main, tmp_path / "a.mcap") == 1
+    assert "a.mcap: a file, not a folder" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("project")
