@@ -55,12 +55,16 @@ class Runs:
 
 
 def list_runs(config: Runs) -> int:
+    from model.runs.run_files import CONFIG
     from model.runs.run_summary import summarize_runs
 
     if isinstance(config.runs, Path) and not config.runs.is_dir():
         problem = "a file, not a folder" if config.runs.exists() else "the folder does not exist"
         raise UserError(f"{config.runs}: {problem}; train a run with `bc-train`, or give --runs FOLDER")
     summaries = list(summarize_runs(config.runs))
+    if not summaries and isinstance(config.runs, Path) and (config.runs / CONFIG).exists():
+        folder = shlex.quote(str(config.runs.absolute().parent))
+        raise UserError(f"{config.runs}: a run; `bc-runs --runs {folder}` lists those of its folder")
     if not summaries:
         flag = f" --runs {config.runs}" if isinstance(config.runs, Url) else ""
         raise UserError(f"{config.runs}: no run in it; train one with `bc-train{flag}`")

@@ -259,3 +259,10 @@ def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.Captur
     for folder in (tmp_path, tmp_path / "nowhere"):
         assert call(bc_runs, "--runs", folder) == 1
         assert "bc-train" in capsys.readouterr().err
+
+
+def test_a_run_in_place_of_its_folder_is_said(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a_run(cwd / "my runs", "first")
+    assert call(bc_runs, "--runs", Path("my runs") / "first") == 1
+    folder = cwd / "my runs"
+    assert f"first: a run; `bc-runs --runs '{folder}'` lists those of its folder" in capsys.readouterr().err
