@@ -64,7 +64,7 @@ class ListLogs:
         folders = [folder for folder in FOLDERS if folder.is_dir()]
         if not self.places and not folders:
             raise UserError("no sessions and no drives here; record one with `bc-record`, or name a folder")
-        logs = [log for place in self.places or folders for log in logs_at(place)]
+        logs = list(dict.fromkeys(log for place in self.places or folders for log in logs_at(place)))
         if not logs:
             places = ", ".join(str(place) for place in self.places or folders)
             raise UserError(f"{places}: no log in it; record one with `bc-record`")

@@ -50,6 +50,7 @@ def test_sessions_and_drives_are_listed_the_newest_first(
     assert names(capsys, "--sort", "name") == ["wednesday", "monday", "tuesday"]  # drives/ before sessions/
     assert names(capsys, "--sort", "rows") == ["tuesday", "wednesday", "monday"]
     assert names(capsys, "sessions", "--sort", "rows") == ["tuesday", "monday"]
+    assert names(capsys, "monday", "sessions", "monday") == ["tuesday", "monday"]  # each once
 
 
 def test_a_line_tells_of_its_log(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
