@@ -202,7 +202,8 @@ def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
     since_s = (time_ns - time_ns[:1]) / 1e9
     (at,) = np.nonzero((since_s >= start_s) & (since_s <= end_s))
     if not len(at):
-        raise LogError(f"{log.path}: no row between {start_s:g} and {end_s:g} s; it lasts {since_s.max():.1f} s")
+        stretch = f"{start_s:g} and {end_s:g} s" if end_s < np.inf else f"{start_s:g} s and its end"
+        raise LogError(f"{log.path}: no row between {stretch}; it lasts {since_s.max():.1f} s")
     if at[-1] - at[0] + 1 != len(at):
         raise LogError(f"{log.path}: time goes back within {start_s:g} to {end_s:g} s; give --rows instead")
     return int(number[at[0]]), int(number[at[-1]])

@@ -282,7 +282,7 @@ def test_a_link_that_leads_nowhere_is_not_meant_itself(
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        (["tag", "LOG", "x", "--start", 100], "no row between"),
+        (["tag", "LOG", "x", "--start", 100], "no row between 100 s and its end"),
         (["info", "a"], "did you mean a.mcap?"),
         (["trim", "LOG", "--to", "new.mcap", "--rows", 90, 95], "its rows are 0 to 49"),
         (["trim", "LOG", "--to", "LOG"], "exists already"),
