@@ -22,7 +22,7 @@ from typing import Any, Final, NoReturn, TypeVar
 import tyro
 
 from common.errors import Skipped, UsageError, UserError
-from common.flag_errors import flag_errors_in_one_line
+from common.flag_errors import flag_errors_in_one_line, refuse_empty_flags
 from common.flag_help import asks_for_help, print_help
 from common.flag_types import quick_types
 from common.interrupts import GracefulStop, handle_signals
@@ -163,6 +163,7 @@ def _run(
                 print_help(prog, config, about, sys.argv[1:], defaults.get("default"))
         with flag_errors_in_one_line(config), quick_types():
             parsed = tyro.cli(config, prog=prog, description=about, config=flags, **defaults)
+        refuse_empty_flags(config)
         _refuse_urls(parsed)
         return action(parsed)
     except UserError as error:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import sys
 from collections.abc import Iterator, Sequence
 from types import UnionType
@@ -79,7 +80,7 @@ def _unknown(tokens: Sequence[str], config: Any) -> str:
         return f"{tokens[0]}: no such command; {meant or 'the commands are ' + ', '.join(subcommands)}"
     flag = next((token for token in tokens if token.startswith("-")), None)
     if flag is None:
-        return _too_many(tokens[0], config)
+        return _too_many(tokens[0], _of_command_line(config))
     flag = flag.partition("=")[0]
     if instead := getattr(config, "REMOVED", {}).get(flag):
         return f"{flag}: was removed; {instead}"
@@ -96,16 +97,43 @@ def _too_many(word: str, config: Any) -> str:
     switch = next((token for token in sys.argv[1:] if token.endswith(f"={word}")), "")
     if switch and word not in sys.argv[1:]:
         return f"{switch}: {switch.partition('=')[0]} takes no value"
-    kinds = (kind for kind in get_args(config) if kind.__metadata__[0].name in sys.argv[1:2])
-    command = next((kind.__origin__ for kind in kinds), config)
-    if flags and dataclasses.is_dataclass(command):
-        hints = get_type_hints(command, include_extras=True)
+    if flags and dataclasses.is_dataclass(config):
+        hints = get_type_hints(config, include_extras=True)
         after = f"{too_many} after {' '.join(before[flags[-1] :])}"
         if any(_takes_several_words(hint) for hint in hints.values()):
             return f"{after}; put words without a flag before all flags"
         if choices := list(_choices(hints.get(before[flags[-1]][2:].replace("-", "_")))):
             return f"{after}; {before[flags[-1]]} is {' or '.join(choices)}"
     return f"{too_many}; put a name with spaces in quotes"
+
+
+def _of_command_line(config: Any) -> Any:
+    """The dataclass of the command or, if it has subcommands, of that on the command line."""
+    kinds = (kind for kind in get_args(config) if kind.__metadata__[0].name in sys.argv[1:2])
+    return next((kind.__origin__ for kind in kinds), config)
+
+
+def refuse_empty_flags(config: Any) -> None:
+    """Raise UsageError for a flag `X [X ...]` without a word: tyro would use its default, which is often
+    everything."""
+    tokens = [token.replace("_", "-") for token in sys.argv[1:]]
+    for name, metavar in _flags_of_words(_of_command_line(config)):
+        for token, following in itertools.pairwise([*tokens, "--"]):
+            if token == name and following.startswith("--"):
+                raise UsageError(f"{name}: expected {metavar} after it")
+
+
+def _flags_of_words(config: Any) -> Iterator[tuple[str, str]]:
+    """The names and metavars of the flags that need a word or several, and have none by default."""
+    hints = get_type_hints(config, include_extras=True)
+    for flag in dataclasses.fields(config):
+        notes = getattr(hints[flag.name], "__metadata__", ())
+        metavar = next((note.metavar for note in notes if getattr(note, "metavar", None)), "[")
+        inner = getattr(hints[flag.name], "__origin__", hints[flag.name])
+        if dataclasses.is_dataclass(inner):
+            yield from _flags_of_words(inner)
+        elif flag.default == () and not metavar.startswith("[") and tyro.conf.Positional not in notes:
+            yield f"--{flag.name.replace('_', '-')}", metavar
 
 
 def _choices(hint: Any) -> Iterator[str]:

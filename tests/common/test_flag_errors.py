@@ -22,6 +22,9 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
     ("command", "flags", "expected"),
     [
         (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
+        (bc_train, ["--on"], "bc-train: --on: expected SESSION [SESSION ...] after it"),
+        (bc_train, ["--init", "a", "--takeovers", "--name", "b"], "bc-train: --takeovers: expected LOG [LOG ...]"),
+        (bc_index, ["a", "--validation", "--no-flip"], "bc-index: --validation: expected SESSION [SESSION ...]"),
         (bc_train, ["--epochs=two"], "bc-train: --epochs two: expected a whole number"),
         (bc_record, ["a", "--laps", "two"], "bc-record: --laps two: expected a number"),
         (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number after it"),
