@@ -107,7 +107,10 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold an action for a step. It is clamped to -1 .. 1. Raises ValueError if it is not two finite
         numbers."""
-        command = np.asarray(action, np.float64)
+        try:
+            command = np.asarray(action, np.float64)
+        except (TypeError, ValueError):
+            command = np.empty(0)
         if command.shape != (2,) or not np.isfinite(command).all():
             raise ValueError(f"action={action!r}: expected two finite numbers, steering and throttle")
         if not self._is_reset:

@@ -171,6 +171,9 @@ def test_an_action_that_is_none_is_refused(lake: gymnasium.Env[Any, Any]) -> Non
     for action in ([math.nan, 0.0], [0.0], [0.0, 0.0, 0.0], [math.inf, 0.0]):
         with pytest.raises(ValueError, match="two finite numbers"):
             lake.step(np.array(action, np.float32))
+    for wrong in ("left", {"steering": 0.1}, None):
+        with pytest.raises(ValueError, match="two finite numbers"):
+            lake.step(wrong)
 
 
 def test_a_start_that_is_none_and_a_step_before_a_reset_are_refused() -> None:
