@@ -129,7 +129,7 @@ class FasterLayers(nn.Sequential):
     `nn.ReLU`. Training uses other operators where they are faster, and then does not call hooks of the
     convolutions.
 
-    On a GPU, `pooled_convolution` replaces a convolution and its pooling.
+    On a GPU of NVIDIA, `pooled_convolution` replaces a convolution and its pooling. Other GPUs were not tried.
 
     With AMX, convolutions are fast, and PyTorch's max pooling took nearly half of a step. For each maximum,
     PyTorch keeps an int64, oneDNN a byte. PyTorch clears the whole gradient before it fills in a quarter; oneDNN
@@ -141,7 +141,7 @@ class FasterLayers(nn.Sequential):
     def forward(self, inputs: Tensor) -> Tensor:
         """(N, channels, height, width) to a tensor of the same axes."""
         if self.training and torch.is_grad_enabled():
-            if inputs.is_cuda:
+            if inputs.is_cuda and torch.version.hip is None:
                 return self.with_wider_convolutions(inputs)
             if _is_faster_in_onednn(inputs):
                 return self._in_onednn(inputs)

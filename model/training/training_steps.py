@@ -35,13 +35,14 @@ class TrainingSteps:
         can_record: bool,
     ) -> None:
         """`weights` are those of `training_step`. Only steps of `batch` samples are recorded, and none unless
-        `can_record`: a user's own network may wait for the GPU, which no recording may."""
+        `can_record`: a user's own network may wait for the GPU, which no recording may. GPUs of AMD record none:
+        they were not tried."""
         self._network = network
         self._optimizer = optimizer
         self._machine = machine
         self._batch = batch
         self._weights = weights
-        self._can_record = can_record and machine.device.type == "cuda"
+        self._can_record = can_record and machine.device.type == "cuda" and torch.version.hip is None
         self._taken = 0
         self._recorded: Callable[[Tensor, Tensor], Tensor] | None = None
 
