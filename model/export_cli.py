@@ -57,7 +57,9 @@ def export(config: Export) -> int:
 def _refuse_contradictions(config: Export) -> None:
     """Raise UsageError for flags that do not go together."""
     if [config.onnx, config.donkeycar, config.hub].count(None) != 2:
-        raise UsageError("give --onnx for a file, --donkeycar FOLDER for a DonkeyCar, or --hub FOLDER for the hub")
+        raise UsageError(
+            "give one of --onnx for a file, --donkeycar FOLDER for a DonkeyCar, and --hub FOLDER for the hub"
+        )
     if config.hub is None and config.license is not None:
         raise UsageError("--license is only for a folder for the hub: give --hub FOLDER as well")
     if config.hub is not None and config.force:
