@@ -88,8 +88,9 @@ def check(path: Location, *, look: bool = True) -> Checked:
         # people switch these recorders off and on: a gap is not a loss
         is_paused_by_people = log.metadata.get("source") in ("udacity", "donkeycar", "csv")
         excluded = TaggedRows(read_tags(path, log.fingerprint), EXCLUDE)
-        if contents.counts[POSE]:
-            odd = odd_stretches(states_of(log))
+        states = states_of(log) if contents.counts[POSE] else None
+        if states is not None:
+            odd = odd_stretches(states)
         if look and has_rows:
             lag, is_lag_kept = find_lag(log)
         shown = None if lag is None else lag.lag
@@ -98,7 +99,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
             from recorder.seen.steering_lag import measure_lag
             from recorder.upkeep.swapped_cameras import same_pictures, swapped_cameras
 
-            states = states_of(log)
+            if states is None:
+                states = states_of(log)
             odd = with_pictures(log, states, odd)
             if shown is None:  # labels need none, or an earlier version tried fewer lags
                 shown = measure_lag(log, states)
