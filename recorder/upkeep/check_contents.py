@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import Executor
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 
 from common.stretches import consecutive
 from recorder import topics
@@ -27,6 +27,8 @@ from recorder.pictures.picture_size import PictureSizes, width_and_height
 from recorder.rows.odd_stretches import OddStretch, odd_stretches, rows_named
 from recorder.rows.row_quality import STANDING_MPH, StatesWritten, row_flags
 from recorder.topics import CAMERA_TOPICS, LOG_MESSAGE, POSE_IN_FRAME, TOPICS, VEHICLE_STATE, camera_topic
+
+Content = TypeVar("Content", bound=Message)
 
 GAPS: Final = "gaps in time"
 ODD_FINDINGS: Final = {
@@ -106,11 +108,8 @@ class Contents:
                 self._findings.append(Finding("rows out of order", f"{topic} row {message.sequence}"))
             self._last_row[topic] = message.sequence
         if message.channel in self._vehicle:
-            try:
-                state = VehicleState.FromString(records[message.offset : message.offset + message.length])
-            except DecodeError:
-                self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
-            else:
+            state = self._decoded(VehicleState, topic, records, message)
+            if state is not None:
                 self._states.add(message.sequence, message.log_time_ns, state)
                 self._not_recorded.add_row(message.log_time_ns, state.not_recorded_s)
         elif message.channel in self._images:
@@ -118,10 +117,15 @@ class Contents:
         elif message.channel in self._events:
             self._add_event(topic, records, message)
         elif message.channel in self._poses:
-            try:
-                PoseInFrame.FromString(records[message.offset : message.offset + message.length])
-            except DecodeError:
-                self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
+            self._decoded(PoseInFrame, topic, records, message)
+
+    def _decoded(self, kind: type[Content], topic: str, records: bytes, message: StoredMessage) -> Content | None:
+        """The content of a message; None, with a finding, if it is of another kind."""
+        try:
+            return kind.FromString(records[message.offset : message.offset + message.length])
+        except DecodeError:
+            self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
+            return None
 
     def _add_picture(self, topic: str, records: bytes, message: StoredMessage) -> None:
         at, length = image_data(records, message.offset, message.length)
@@ -133,10 +137,8 @@ class Contents:
         self._image_check.add(topic, message.sequence, message.log_time_ns, picture)
 
     def _add_event(self, topic: str, records: bytes, message: StoredMessage) -> None:
-        try:
-            event = LogMessage.FromString(records[message.offset : message.offset + message.length])
-        except DecodeError:
-            self._findings.append(Finding(MISFIT, f"{topic} row {message.sequence}"))
+        event = self._decoded(LogMessage, topic, records, message)
+        if event is None:
             return
         kind, count = read_event(event.message)
         if count:
