@@ -117,10 +117,12 @@ def refuse_empty_flags(config: Any) -> None:
     """Raise UsageError for a flag `X [X ...]` without a word: tyro would use its default, which is often
     everything."""
     tokens = [token.replace("_", "-") for token in sys.argv[1:]]
+    empty = {flag for flag, word in itertools.pairwise([*tokens, "--"]) if flag[:2] == word[:2] == "--"}
+    if not empty:  # the usual case: types take a millisecond
+        return
     for name, metavar in _flags_of_words(_of_command_line(config)):
-        for token, following in itertools.pairwise([*tokens, "--"]):
-            if token == name and following.startswith("--"):
-                raise UsageError(f"{name}: expected {metavar} after it")
+        if name in empty:
+            raise UsageError(f"{name}: expected {metavar} after it")
 
 
 def _flags_of_words(config: Any) -> Iterator[tuple[str, str]]:
