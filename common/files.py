@@ -45,6 +45,11 @@ def final_name(name: str) -> str:
     return re.sub(rf"(?<=.)\.[0-9a-f]{{6}}{re.escape(PART_SUFFIX)}$", "", name)
 
 
+def session_name(log: Location) -> str:
+    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part (an unfinished recording)."""
+    return final_name(log.name).removesuffix(".mcap")
+
+
 def make_folder(folder: Path) -> list[Path]:
     """Create a folder and its parents. Returns the created folders, innermost first, for `remove_empty`."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]

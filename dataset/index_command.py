@@ -11,11 +11,12 @@ import pyarrow.compute as pc
 
 from common.command import FAILED, flags_given, usage_errors, warn
 from common.errors import UsageError, counted, first_of
+from common.files import session_name
 from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
 from common.ray_flag import tasks_of
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import FRAMES_SCHEMA, session_name
+from dataset.frames.frames_file import FRAMES_SCHEMA
 from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table

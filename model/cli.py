@@ -231,8 +231,8 @@ def _run_of(config: Train) -> Path:
 
 def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
     """Build the index of --on or --takeovers. Returns it and the exit code of its notices."""
+    from common.files import session_name
     from dataset import IndexConfig, find_logs
-    from dataset.frames.frames_file import session_name
     from model.runs.reproduce import logs_with_takeovers
 
     index = local_path(config.index).with_name(f"index-{run.name}")

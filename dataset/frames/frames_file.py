@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from common.allowed_places import AllowedPlaces
 from common.errors import UserError, printable
-from common.files import final_name
+from common.files import session_name
 from common.location import Location, Url, absolute, location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, PlaceNotAllowedError
@@ -61,11 +61,6 @@ _ALWAYS_NS: Final = (-(2**63), 2**63 - 1)
 
 REPEATING: Final = ("session", "camera", "driver", "device", "split")
 """Columns with few distinct values. They are read as dictionaries, which need less memory."""
-
-
-def session_name(log: Location) -> str:
-    """NAME of NAME.mcap, and of NAME.mcap.XXXXXX.part (an unfinished recording)."""
-    return final_name(log.name).removesuffix(".mcap")
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
 from common.errors import counted, first_of
+from common.files import session_name
 from common.location import Location, location, relative_to
 from common.progress import track
 from common.steering_unit import assumed_deg
@@ -33,7 +34,6 @@ from dataset.frames.frames_file import (
     extent_of,
     file_if_rewritten,
     index_project,
-    session_name,
 )
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import (

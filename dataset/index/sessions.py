@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
+from common.files import session_name
 from common.location import Location, Url, absolute, location
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import log_place, session_name
+from dataset.frames.frames_file import log_place
 from dataset.index.build_state import Stat, Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME

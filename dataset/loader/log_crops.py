@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.closeable import Closeable
 from common.errors import printable
+from common.files import session_name
 from common.location import Location, location
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
 from dataset.loader.crops import Crops, decoding_threads, prefetched

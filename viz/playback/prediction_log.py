@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset.frames.frames_file import session_name
+from common.files import session_name
 from model.evaluation.log_predictions import LogPredictions
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import Prediction

@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from common.car import CAMERAS
+from common.files import session_name
 from dataset.frames.frame_flags import ImageFindings
-from dataset.frames.frames_file import session_name
 from dataset.frames.image_check_cache import read_image_check
 from recorder import Log
 from recorder.topics import camera_topic

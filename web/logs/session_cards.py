@@ -16,10 +16,11 @@ import pyarrow.compute as pc
 
 from common import UserError
 from common.errors import StoreError, printable
+from common.files import session_name
 from common.location import Location, absolute
 from common.untrusted import real_path
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import read_frames, session_name
+from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from recorder import Log

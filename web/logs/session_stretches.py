@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from common.errors import printable
+from common.files import session_name
 from common.stretches import stretches
 from dataset.config import IndexConfig
 from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
-from dataset.frames.frames_file import session_name
 from dataset.frames.frames_table import frames_of
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows

@@ -13,7 +13,7 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
-from dataset.frames.frames_file import session_name
+from common.files import session_name
 from web.errors import WebError
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench

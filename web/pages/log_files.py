@@ -10,8 +10,8 @@ from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
 from common.errors import printable
+from common.files import session_name
 from common.location import Location, absolute
-from dataset.frames.frames_file import session_name
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
 from web.errors import WebError

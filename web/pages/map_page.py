@@ -14,9 +14,8 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from common.files import PART_SUFFIX
+from common.files import PART_SUFFIX, session_name
 from common.location import absolute
-from dataset.frames.frames_file import session_name
 from dataset.index.build_state import read_state
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError

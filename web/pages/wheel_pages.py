@@ -11,7 +11,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
-from dataset.frames.frames_file import session_name
+from common.files import session_name
 from recorder.teleop.open_wheels import open_wheels
 from recorder.topics import PERSON_METADATA
 from web.errors import WebError
