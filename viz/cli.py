@@ -85,12 +85,11 @@ def _check_logs(paths: Sequence[Path]) -> None:
     log without CRCs."""
     from recorder import Log, LogError
     from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
-    from recorder.mcap.scan import read_summary
+    from recorder.mcap.scan import counts_no_message
 
     for path in dict.fromkeys(paths):
         with McapFile(path) as file:
-            summary = read_summary(file)  # None for an unfinished log
-            if summary and summary.statistics and not summary.statistics.message_count:
+            if counts_no_message(file):
                 raise LogError(f"{path}: an empty log; `bc-log ls` lists others")
             if file.promises_crcs:  # for an unfinished log, `has_crcs` would read the whole file
                 continue

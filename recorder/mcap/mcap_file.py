@@ -13,7 +13,6 @@ import struct
 import zlib
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -81,8 +80,7 @@ def unpack(stored: bytes | memoryview, compression: bytes, size: int) -> bytes:
     raise ValueError(f"unknown compression {compression!r}")
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """A chunk in the file, from byte `start` to `end`; or a message outside chunks, handled as a chunk."""
 
     start: int

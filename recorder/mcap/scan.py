@@ -6,16 +6,18 @@ through from its start. Unreadable stretches are skipped, and every chunk with a
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
+from mcap.records import AttachmentIndex, Channel, McapRecord, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 
 from common.locks import is_being_written
@@ -40,6 +42,10 @@ KILLED: Final = "unfinished: its recording was killed, or it was cut off"
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
+# compared for each chunk: plain numbers are quicker
+_OP_CHUNK: Final = int(Opcode.CHUNK)
+_OP_CHUNK_INDEX: Final = int(Opcode.CHUNK_INDEX)
+_SIZE: Final = struct.Struct("<Q")
 _MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and the offset of its message index
 _MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # channels have 16-bit numbers
 
@@ -144,26 +150,13 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
 
 def read_summary(file: McapFile) -> Structure | None:
     """The structure from the summary at the file's end; None if the summary is missing or damaged."""
-    tail = _FOOTER.size + len(MAGIC)
-    if file.size < 2 * len(MAGIC) + _FOOTER.size:
-        return None
-    footer = file.read(file.size - tail, tail)
-    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
-    is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
-    if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
+    start, summary = _summary(file)
+    if not summary:
         return None
     structure = Structure()
-    summary = file.read(start, file.size - start)
-    if not file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]):
-        return None
     try:
         others = _take_chunk_indexes(summary, structure.chunks)
-        for record in StreamReader(
-            io.BytesIO(others),
-            skip_magic=True,
-            emit_chunks=True,  # otherwise it unpacks chunks to any size
-            record_size_limit=len(summary),
-        ).records:
+        for record in _records(others):
             match record:
                 case Schema():
                     structure.schemas[record.id] = record
@@ -186,31 +179,66 @@ def read_summary(file: McapFile) -> Structure | None:
     return structure
 
 
+def counts_no_message(file: McapFile) -> bool:
+    """True for a finished file whose statistics count no message."""
+    with contextlib.suppress(*UNREADABLE):
+        for record in _records(_summary(file)[1]):  # mostly, chunk indexes come after the statistics
+            if isinstance(record, Statistics):
+                return not record.message_count
+    return False
+
+
+def _summary(file: McapFile) -> tuple[int, bytes]:
+    """The start of the summary section, and its bytes to the file's end; empty if it is missing or damaged."""
+    tail = _FOOTER.size + len(MAGIC)
+    if file.size < 2 * len(MAGIC) + _FOOTER.size:
+        return 0, b""
+    footer = file.read(file.size - tail, tail)
+    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
+    is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
+    if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
+        return 0, b""
+    summary = file.read(start, file.size - start)
+    return (start, summary) if file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]) else (0, b"")
+
+
+def _records(summary: bytes) -> Iterator[McapRecord]:
+    """The records of a summary section. Raises UNREADABLE."""
+    reader = StreamReader(
+        io.BytesIO(summary),
+        skip_magic=True,
+        emit_chunks=True,  # otherwise it unpacks chunks to any size
+        record_size_limit=len(summary),
+    )
+    return reader.records
+
+
 def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
     """Add the chunks that a summary lists to `chunks`, and return its other records. A long log has tens of
     thousands of chunks, and MCAP's own reader takes 30 us for each. Raises UNREADABLE."""
     others, kinds, position = [], dict[bytes, frozenset[int]](), 0
     while position + RECORD.size <= len(summary):
         opcode, length = RECORD.unpack_from(summary, position)
-        at, end = position + RECORD.size, position + RECORD.size + length
-        if opcode != Opcode.CHUNK_INDEX:
+        end = position + RECORD.size + length
+        if opcode != _OP_CHUNK_INDEX:
             others.append(summary[position:end])
             position = end
             continue
-        first_ns, last_ns, start, size, map_bytes = _CHUNK_INDEX.unpack_from(summary, at)
-        at += _CHUNK_INDEX.size
+        first_ns, last_ns, start, size, map_bytes = _CHUNK_INDEX.unpack_from(summary, position + RECORD.size)
+        at = position + RECORD.size + _CHUNK_INDEX.size
         if map_bytes % _MAP_ENTRY_BYTES or map_bytes > min(end - at, _MAX_MAP_BYTES):
             raise EOFError("a chunk index is cut off")
         offsets = summary[at : at + map_bytes]
-        key = b"".join(offsets[i : i + 2] for i in range(0, map_bytes, _MAP_ENTRY_BYTES))
+        key = offsets[::_MAP_ENTRY_BYTES] + offsets[1::_MAP_ENTRY_BYTES]  # low bytes, then high bytes
         if key not in kinds:
-            kinds[key] = frozenset(number for (number,) in struct.iter_unpack("<H", key))
+            pairs = zip(key, key[len(key) // 2 :], strict=False)
+            kinds[key] = frozenset(low | high << 8 for low, high in pairs)
         compression = prefixed(summary, at + map_bytes + 8)
         unpacked_at = at + map_bytes + 8 + 4 + len(compression) + 8
-        (unpacked_size,) = struct.unpack_from("<Q", summary, unpacked_at)
+        (unpacked_size,) = _SIZE.unpack_from(summary, unpacked_at)
         if unpacked_at + 8 > end:
             raise EOFError("a chunk index is cut off")
-        head = CHUNK_HEADER.pack(Opcode.CHUNK, size - RECORD.size, first_ns, last_ns, unpacked_size, 0)
+        head = CHUNK_HEADER.pack(_OP_CHUNK, size - RECORD.size, first_ns, last_ns, unpacked_size, 0)
         chunk = Chunk(start, start + size, compression.decode(), channels=kinds[key] or None, head=head[:-4])
         chunks.append(chunk)
         position = end
