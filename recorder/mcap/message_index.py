@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from recorder.mcap.compressed_image import image_data
-from recorder.mcap.mcap_file import MESSAGE, RECORD, Chunk, McapFile
+from recorder.mcap.mcap_file import MESSAGE, MIN_MESSAGE, OP_MESSAGE, RECORD, Chunk, McapFile
 from recorder.mcap.scan import Structure
 
 UNCOMPRESSED: Final = -1  # instead of a chunk's offset: the bytes are in the file itself
@@ -31,6 +31,7 @@ ENTRY: Final = np.dtype(
 
 Read = tuple[Chunk, bytes]  # a chunk and its records
 
+_AT_ONCE: Final = 1 << 20  # bytes of records
 _HEAD: Final = np.dtype(
     [
         ("opcode", np.uint8),
@@ -53,10 +54,9 @@ def index_messages(
 
     Raises LogError for a damaged chunk, or a time above LAST_TIME_NS.
     """
-    images = np.array(sorted(structure.image_channels), np.uint16)
     parts, count = [], 0
-    for chunk, records in track(file.read_chunks(chunks)):
-        parts.append(_in_chunk(file, chunk, records, images))
+    for together in _together(track(file.read_chunks(chunks))):
+        parts.append(_in_chunks(file, together, structure.image_channels))
         count += len(parts[-1])
         file.check_count(count)
     table = np.concatenate(parts) if parts else np.empty(0, ENTRY)
@@ -65,23 +65,58 @@ def index_messages(
     return table
 
 
-def _in_chunk(file: McapFile, chunk: Chunk, records: bytes, images: NDArray[np.uint16]) -> NDArray[np.void]:
-    """One ENTRY for each message of a chunk's records. `images`: channels of pictures."""
-    starts = np.array(file.parts(records).messages, np.int64)
-    base = 0 if chunk.compression else file.records_at(chunk)
+def _together(read: Iterable[Read]) -> Iterator[list[Read]]:
+    """The chunks in groups of `_AT_ONCE`: arrays of a chunk's few messages would take longer than the messages."""
+    group, size = list[Read](), 0
+    for chunk, records in read:
+        group.append((chunk, records))
+        size += len(records)
+        if size >= _AT_ONCE:
+            yield group
+            group, size = [], 0
+    if group:
+        yield group
+
+
+def _in_chunks(file: McapFile, read: Sequence[Read], images: set[int]) -> NDArray[np.void]:
+    """One ENTRY for each message in some chunks. `images`: channels of pictures."""
+    records = b"".join(records for _, records in read)
+    begins = np.cumsum([0, *(len(records) for _, records in read)])  # of each chunk's records, in `records`
+    are_small = all(chunk.channels is not None and not chunk.channels & images for chunk, _ in read)
+    starts = _starts(records, begins) if are_small else None
+    if starts is None:
+        own = [np.array(file.parts(of_chunk).messages, np.int64) for _, of_chunk in read]
+        starts = np.concatenate([at + begin for at, begin in zip(own, begins.tolist(), strict=False)])
     table = np.empty(len(starts), ENTRY)
     if not len(starts):
         return table
+    number = np.searchsorted(begins, starts, side="right") - 1  # of the message's chunk
+    base = np.array([0 if chunk.compression else file.records_at(chunk) for chunk, _ in read]) - begins[:-1]
     # all messages' heads at once: a tuple for each would take 300 bytes
     heads = sliding_window_view(np.frombuffer(records, np.uint8), MESSAGE.size)[starts].view(_HEAD)[:, 0]
     for name in ("channel", "sequence", "log_time_ns"):
         table[name] = heads[name]
-    table["offset"] = starts + (base + MESSAGE.size)
+    table["offset"] = starts + base[number] + MESSAGE.size
     table["length"] = heads["length"].astype(np.int64) - (MESSAGE.size - RECORD.size)
     table["picture"], table["picture_length"] = -1, 0
-    table["chunk"] = chunk.start if chunk.compression else UNCOMPRESSED
-    for at in np.flatnonzero(np.isin(table["channel"], images)).tolist():
-        picture, length = image_data(records, int(table["offset"][at]) - base, int(table["length"][at]))
+    table["chunk"] = np.array([chunk.start if chunk.compression else UNCOMPRESSED for chunk, _ in read])[number]
+    for at in np.flatnonzero(np.isin(table["channel"], sorted(images))).tolist():
+        picture, length = image_data(records, int(starts[at]) + MESSAGE.size, int(table["length"][at]))
         if picture >= 0:
-            table["picture"][at], table["picture_length"][at] = picture + base, length
+            table["picture"][at], table["picture_length"][at] = picture + base[number[at]], length
     return table
+
+
+def _starts(records: bytes, begins: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """Where each message begins in the joined records of chunks, found without a loop; None if there are other
+    records, or if other bytes look like the first of a message. `begins`: of each chunk's records, and the end."""
+    if len(records) < RECORD.size:
+        return None
+    data = np.frombuffer(records, np.uint8)
+    starts = np.flatnonzero(data[: 1 - RECORD.size] == OP_MESSAGE)
+    lengths = sliding_window_view(data, 8)[starts + 1].view("<u8")[:, 0]
+    is_possible = (lengths >= MIN_MESSAGE) & (lengths < len(records))
+    starts, lengths = starts[is_possible], lengths[is_possible].astype(np.int64)
+    ends = np.concatenate([starts[1:], begins[-1:]])
+    is_chain = (starts + RECORD.size + lengths == ends).all() and np.isin(begins[:-1], starts, kind="table").all()
+    return starts if is_chain else None
