@@ -30,7 +30,14 @@ from recorder.mcap.chunk_reader import ChunkReader
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
 from recorder.mcap.number_fields import decode_numbers
-from recorder.mcap.picture_places import Pictures, is_about_places, is_of_pictures, read_chunk_crcs, read_places
+from recorder.mcap.picture_places import (
+    CHUNKS_ATTACHMENT,
+    Pictures,
+    is_about_places,
+    is_of_pictures,
+    read_chunk_crcs,
+    read_places,
+)
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
 from recorder.rows.devices import DEVICES
@@ -389,15 +396,37 @@ class Log(Closeable):
 
     @cached_property
     def _index(self) -> NDArray[np.void]:
-        read = self.chunks
         places = read_places(self._file, self._structure) if self.is_ours else None
-        if places is not None:
-            images = self._structure.image_channels
-            read = [chunk for chunk in read if not is_of_pictures(chunk, images)]
         self._is_mixed = places is None and len(self._structure.image_channels) > 0
-        index = index_messages(self._file, self._structure, read, self._tracked(len(read)))
-        self._chunk_reader.set_verified(read)
-        return index if places is None else np.concatenate([index, places])
+        if places is not None:
+            return np.concatenate([self._index_beside_pictures, places])
+        leaves_none_out = len(self._chunks_beside_pictures) == len(self.chunks)
+        return self._index_beside_pictures if leaves_none_out else self._index_of(self.chunks)
+
+    @cached_property
+    def _index_beside_pictures(self) -> NDArray[np.void]:
+        return self._index_of(self._chunks_beside_pictures)
+
+    @cached_property
+    def _chunks_beside_pictures(self) -> list[Chunk]:
+        images = self._structure.image_channels
+        return [chunk for chunk in self.chunks if not is_of_pictures(chunk, images)]
+
+    @cached_property
+    def _is_whole_beside_pictures(self) -> bool:
+        """True if all other messages than pictures are found without the chunks of pictures. A wrong summary may
+        hide some in them."""
+        if not self.is_ours or CHUNKS_ATTACHMENT not in self._structure.attachment_names.values():
+            return False
+        counts = {} if self._structure.statistics is None else self._structure.statistics.channel_message_counts
+        images = self._structure.image_channels
+        count = sum(count for number, count in counts.items() if number not in images)
+        return len(self._index_beside_pictures) == count
+
+    def _index_of(self, chunks: Sequence[Chunk]) -> NDArray[np.void]:
+        index = index_messages(self._file, self._structure, chunks, self._tracked(len(chunks)))
+        self._chunk_reader.set_verified(chunks)
+        return index
 
     @property
     def is_mixed(self) -> bool:
@@ -412,11 +441,10 @@ class Log(Closeable):
         return lambda read: track(read, f"reading {self.path.name}", chunks)
 
     def _of_topic(self, topic: str) -> NDArray[np.void]:
-        mask = np.zeros(len(self._index), np.bool_)
-        for number, channel in self.channels.items():
-            if channel.topic == topic:
-                mask |= self._index["channel"] == number
-        return self._index[mask]
+        numbers = {number for number, channel in self.channels.items() if channel.topic == topic}
+        needs_pictures = numbers & self._structure.image_channels or not self._is_whole_beside_pictures
+        index = self._index if needs_pictures else self._index_beside_pictures
+        return index[np.isin(index["channel"], list(numbers))]
 
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         from google.protobuf.message import DecodeError

@@ -66,9 +66,15 @@ class ChunkReader:
             return 0, self._unpacked_records(unpacked)
         number = self._number_of(offset, length)
         chunk = self._chunks[number]
-        records = self._unpacked_records(chunk.start) if self._file.is_remote else self._file.records(chunk)
+        start = self._file.records_at(chunk)
+        if self._file.is_remote:
+            records = self._unpacked_records(chunk.start)
+        elif self._is_verified[number]:
+            records = self._file.read(start, chunk.end - start)
+        else:
+            records = self._file.records(chunk)
         self._is_verified[number] = True
-        return self._file.records_at(chunk), records
+        return start, records
 
     def _number_of(self, offset: int, length: int) -> int:
         number = bisect.bisect_right(self._starts, offset) - 1

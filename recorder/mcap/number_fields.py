@@ -38,19 +38,20 @@ def decode_numbers(
     if all(map(_is_plain, fields)):
         # the padding lets a cut-off field of the last message end beyond it
         padded = np.frombuffer(data + bytes(2 * _DOUBLE_BYTES), np.uint8)
+        doubles = np.ndarray(len(padded) - _DOUBLE_BYTES, "<f8", padded, strides=(1,))  # at each byte
         at = starts.copy()
         for field in fields:
             is_double = field.type == field.TYPE_DOUBLE
             is_present = (padded[at] == (field.number << 3 | is_double)) & (at < ends)  # wire type 1: eight bytes
             if not is_double:
                 is_present &= padded[at + 1] < 0x80
-            (present,) = np.nonzero(is_present)
+            present = slice(None) if is_present.all() else np.flatnonzero(is_present)
             if field.name in names:
                 row = values[names.index(field.name)]
                 if field.has_presence:
                     row[:] = np.nan
                 if is_double:
-                    row[present] = padded[at[present, None] + np.arange(1, _DOUBLE_BYTES)].view("<f8")[:, 0]
+                    row[present] = doubles[at[present] + 1]
                 else:
                     row[present] = padded[at[present] + 1]
             at[present] += _DOUBLE_BYTES if is_double else _SMALL_BYTES

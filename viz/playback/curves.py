@@ -96,20 +96,24 @@ class Drawing:
         elif topic == EVENTS:
             self._events(time_ns, contents)
         else:
-            self.send_numbers(topic, time_ns, _numbers(topic, contents))
+            numbers = _numbers(topic, contents)
+            self.send_numbers(topic, time_ns, numbers)
+            self.send_arcs(topic, time_ns, numbers)
 
     def send_numbers(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
-        """Draw messages of one topic: log times (N,) in ns, and values (N,) of each of its `number_fields`."""
-        curves = list(curve_values(topic, time_ns, numbers))
-        for curve, curve_ns, values in curves:  # first: arcs are much larger
+        """Draw the curves of one topic: log times (N,) in ns, and values (N,) of each of its `number_fields`."""
+        for curve, curve_ns, values in curve_values(topic, time_ns, numbers):
             self.curve(curve, curve_ns, values)
-        for curve, curve_ns, values in curves:
-            if curve.entity in ARCS:
-                self.arcs(curve, curve_ns, values)
         if topic == VEHICLE:
             self._count(numbers["steering"])
         elif topic == PILOT_COMMAND:
             self._drivers(time_ns, numbers["driver"].astype(np.int64))
+
+    def send_arcs(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
+        """Draw the steering of one topic over the frame, from the same numbers: much larger than curves."""
+        for curve, curve_ns, values in curve_values(topic, time_ns, numbers):
+            if curve.entity in ARCS:
+                self.arcs(curve, curve_ns, values)
 
     def curve(self, curve: Curve, time_ns: Times, values: Values) -> None:
         """Draw a curve, which need not come from the log: log times (N,) in ns, values (N,)."""

@@ -66,8 +66,11 @@ class DrawnMessages:
                 table = log.numbers(topic, fields)
                 times = table["log_time_ns"].to_numpy()
                 self.numbers[topic] = times, {name: table[name].to_numpy() for name in fields}
-        self.picture_size = _picture_size(log)
+
+    @cached_property
+    def picture_size(self) -> tuple[int, int] | None:
         """Width and height of the centre camera's first readable picture."""
+        return _picture_size(self._log)
 
     @cached_property
     def others(self) -> dict[str, tuple[Times, list[Any]]]:
@@ -184,9 +187,11 @@ def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
 
 def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
     """Draw the messages of a whole log."""
+    for topic, (time_ns, numbers) in drawn.numbers.items():  # all curves first
+        drawing.send_numbers(topic, time_ns, numbers)
     drawing.picture_size = drawn.picture_size or drawing.picture_size
     for topic, (time_ns, numbers) in drawn.numbers.items():
-        drawing.send_numbers(topic, time_ns, numbers)
+        drawing.send_arcs(topic, time_ns, numbers)
     for topic, (time_ns, contents) in drawn.others.items():
         drawing.send(topic, time_ns, contents)
     drawing.finish()
