@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import statistics
 import subprocess
 import sys
@@ -130,9 +131,10 @@ def opened(log: Path) -> Opened:
         while player.poll() is None:
             player_mb, viewer_mb = max(player_mb, memory_mb(player.pid)), max(viewer_mb, memory_mb(process.pid))
             refuse_full_memory(player)
-            if not curves_s and has_component(client, DRIVEN_SPEED, ":scalars"):
-                curves_s = time.perf_counter() - start_s
-            if not first_s and has_component(client, camera_topic("center"), ":blob"):
+            if not curves_s:  # one question at a time: the viewer takes as long for an answer as for a frame
+                if has_component(client, DRIVEN_SPEED, ":scalars"):
+                    curves_s = time.perf_counter() - start_s
+            elif not first_s and has_component(client, camera_topic("center"), ":blob"):
                 first_s = time.perf_counter() - start_s
             time.sleep(0.05)
         sent_s = time.perf_counter() - start_s
@@ -299,6 +301,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory(dir=chosen.folder) as folder:
                 log = Path(folder) / "long.mcap"
                 write_long_log(source, log, minutes)
+                os.sync()  # else the disk is still busy with it
                 cells = [f"{kind}, {minutes:g} minutes", f"{log.stat().st_size / 1e6:,.0f} MB"]
                 measurements: list[Opened | Saved | ByItself] = [opened(log), saved(log, log.with_suffix(".rrd"))]
                 if minutes <= MAX_BY_ITSELF_MINUTES:
