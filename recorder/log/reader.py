@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,17 +27,11 @@ from common.location import Location, location
 from recorder import topics
 from recorder.errors import LogError, recovery
 from recorder.mcap.chunk_reader import ChunkReader
+from recorder.mcap.log_index import LogIndex
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
-from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, index_messages
+from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read
 from recorder.mcap.number_fields import decode_numbers
-from recorder.mcap.picture_places import (
-    CHUNKS_ATTACHMENT,
-    Pictures,
-    is_about_places,
-    is_of_pictures,
-    read_chunk_crcs,
-    read_places,
-)
+from recorder.mcap.picture_places import Pictures, is_about_places, read_chunk_crcs
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
 from recorder.rows.devices import DEVICES
@@ -107,7 +101,6 @@ class Log(Closeable):
         self.channels = self._structure.channels
         self._copied_from: set[int] = set()
         self._copied = 0
-        self._is_mixed = False
         self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
@@ -207,7 +200,7 @@ class Log(Closeable):
         if self._structure.statistics is not None:
             by_channel = self._structure.statistics.channel_message_counts
         else:
-            uniques = np.unique(self._index["channel"], return_counts=True)
+            uniques = np.unique(self._index.all["channel"], return_counts=True)
             by_channel = dict(zip(*(column.tolist() for column in uniques), strict=True))
         counts: dict[str, int] = {}
         for number, channel in self.channels.items():
@@ -220,7 +213,7 @@ class Log(Closeable):
         if self._structure.statistics is not None:
             statistics = self._structure.statistics
             return statistics.message_start_time, statistics.message_end_time
-        times = self._index["log_time_ns"]
+        times = self._index.all["log_time_ns"]
         return (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
     @cached_property
@@ -300,7 +293,7 @@ class Log(Closeable):
         import pyarrow as pa
         from google.protobuf.message import DecodeError
 
-        entries = self._of_topic(topic_name)
+        entries = self._index.of_topic(topic_name)
         kind = topics.TOPICS[topic_name].message.load()
         try:
             parts = [decode_numbers(*part, kind, fields) for part in self._contents(entries)]
@@ -324,7 +317,7 @@ class Log(Closeable):
     def pictures(self, topic: str) -> Pictures:
         """The places of the pictures of a CompressedImage topic."""
         if topic not in self._pictures:
-            table = self._of_topic(topic)
+            table = self._index.of_topic(topic)
             if (table["picture"] < 0).any():
                 raise self._file.damaged(f"a message on {topic} is not a CompressedImage")
             names = ("sequence", "log_time_ns", "picture", "picture_length", "chunk")
@@ -333,16 +326,16 @@ class Log(Closeable):
 
     def rows_and_times(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Number and log time of every vehicle state, in the log's order."""
-        entries = self._of_topic(topics.VEHICLE)
+        entries = self._index.of_topic(topics.VEHICLE)
         return entries["sequence"].astype(np.int64), entries["log_time_ns"].astype(np.int64)
 
     def messages(self, topic: str) -> list[Message]:
         """The places of the messages on `topic`, in the order of writing."""
-        return _messages(self._of_topic(topic))
+        return _messages(self._index.of_topic(topic))
 
     def contents(self, topic: str) -> Iterator[tuple[Message, bytes]]:
         """The messages on `topic` with their bytes, in the order of writing."""
-        entries = self._of_topic(topic)
+        entries = self._index.of_topic(topic)
         contents = (
             data[start:end]
             for data, starts, ends in self._contents(entries)
@@ -395,56 +388,20 @@ class Log(Closeable):
             yield self._structure.schemas.get(channel.schema_id), channel, message
 
     @cached_property
-    def _index(self) -> NDArray[np.void]:
-        places = read_places(self._file, self._structure) if self.is_ours else None
-        self._is_mixed = places is None and len(self._structure.image_channels) > 0
-        if places is not None:
-            return np.concatenate([self._index_beside_pictures, places])
-        leaves_none_out = len(self._chunks_beside_pictures) == len(self.chunks)
-        return self._index_beside_pictures if leaves_none_out else self._index_of(self.chunks)
-
-    @cached_property
-    def _index_beside_pictures(self) -> NDArray[np.void]:
-        return self._index_of(self._chunks_beside_pictures)
-
-    @cached_property
-    def _chunks_beside_pictures(self) -> list[Chunk]:
-        images = self._structure.image_channels
-        return [chunk for chunk in self.chunks if not is_of_pictures(chunk, images)]
-
-    @cached_property
-    def _is_whole_beside_pictures(self) -> bool:
-        """True if all other messages than pictures are found without the chunks of pictures. A wrong summary may
-        hide some in them."""
-        if not self.is_ours or CHUNKS_ATTACHMENT not in self._structure.attachment_names.values():
-            return False
-        counts = {} if self._structure.statistics is None else self._structure.statistics.channel_message_counts
-        images = self._structure.image_channels
-        count = sum(count for number, count in counts.items() if number not in images)
-        return len(self._index_beside_pictures) == count
-
-    def _index_of(self, chunks: Sequence[Chunk]) -> NDArray[np.void]:
-        index = index_messages(self._file, self._structure, chunks, self._tracked(len(chunks)))
-        self._chunk_reader.set_verified(chunks)
-        return index
+    def _index(self) -> LogIndex:
+        return LogIndex(self._file, self._structure, self._tracked, self._chunk_reader.set_verified)
 
     @property
     def is_mixed(self) -> bool:
         """True if rows cannot be read without pictures, because the pictures' places are not listed."""
-        return len(self._index) > 0 and self._is_mixed
+        return self._index.is_mixed
 
-    def _tracked(self, chunks: int) -> Callable[[Iterable[Read]], Iterable[Read]]:
+    def _tracked(self, read: Iterable[Read], chunks: int) -> Iterable[Read]:
         if not self._shows_progress:
-            return lambda read: read
+            return read
         from common.progress import track  # training reads logs where no bars are installed
 
-        return lambda read: track(read, f"reading {self.path.name}", chunks)
-
-    def _of_topic(self, topic: str) -> NDArray[np.void]:
-        numbers = {number for number, channel in self.channels.items() if channel.topic == topic}
-        needs_pictures = numbers & self._structure.image_channels or not self._is_whole_beside_pictures
-        index = self._index if needs_pictures else self._index_beside_pictures
-        return index[np.isin(index["channel"], list(numbers))]
+        return track(read, f"reading {self.path.name}", chunks)
 
     def _decoded(self, topic: str, kind: type[Decoded]) -> Iterator[tuple[Message, Decoded]]:
         from google.protobuf.message import DecodeError
