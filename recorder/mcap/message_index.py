@@ -82,7 +82,8 @@ def _in_chunks(file: McapFile, read: Sequence[Read], images: set[int]) -> NDArra
     """One ENTRY for each message in some chunks. `images`: channels of pictures."""
     records = b"".join(records for _, records in read)
     begins = np.cumsum([0, *(len(records) for _, records in read)])  # of each chunk's records, in `records`
-    are_small = all(chunk.channels is not None and not chunk.channels & images for chunk, _ in read)
+    are_small = len(records) <= 4 * _AT_ONCE  # bytes made to look like messages would fill the memory
+    are_small &= all(chunk.channels is not None and not chunk.channels & images for chunk, _ in read)
     starts = _starts(records, begins) if are_small else None
     if starts is None:
         own = [np.array(file.parts(of_chunk).messages, np.int64) for _, of_chunk in read]
