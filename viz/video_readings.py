@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from array import array
-from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.session_car import known_max_steering_deg
 from recorder.rows.row_quality import GAP_S
-from recorder.topics import DRIVE_METADATA
+from recorder.topics import DRIVE_METADATA, PILOT_COMMAND, VEHICLE
 from viz.video_overlay import Driver, Reading
 
 _DRIVERS: Final[dict[float, Driver]] = {
@@ -26,17 +23,13 @@ _MIN_TOP_MPH, _MAX_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
 
 
 class Readings:
-    """The vehicle states and commands of a log by time, 40 bytes each."""
+    """The vehicle states and commands of a log by time."""
 
     def __init__(self, log: Log) -> None:
         """Raises LogError if the log is damaged."""
         self._begin_ns = log.time_range_ns[0]
-        self._states, self._commands = _Rows(4), _Rows(3)
-        for message, state in log.vehicle_states():
-            self._states.add(message.log_time_ns, state.steering, state.throttle, state.brake, state.speed_mph)
-        for message, command in log.commands():
-            values = command.predicted_steering, command.set_speed_mph, command.driver
-            self._commands.add(message.log_time_ns, *values)
+        self._states = _Rows(log, VEHICLE, "steering", "throttle", "brake", "speed_mph")
+        self._commands = _Rows(log, PILOT_COMMAND, "predicted_steering", "set_speed_mph", "driver")
         self.max_steering_deg = known_max_steering_deg(log)
         """The wheels' angle at steering 1; None: unknown."""
         # the driver of a session of the built-in simulator; in a drive, each command names the driver
@@ -67,37 +60,27 @@ class Readings:
 
 
 class _Rows:
-    """Rows of `width` numbers, each with a time."""
+    """Numbers of the messages on a topic, by time."""
 
-    def __init__(self, width: int) -> None:
-        self._width = width
-        self._times_ns, self._numbers = array("q"), array("d")
-
-    def add(self, time_ns: int, *values: float) -> None:
-        self._times_ns.append(time_ns)
-        self._numbers.extend(values)
+    def __init__(self, log: Log, topic: str, *fields: str) -> None:
+        table = log.numbers(topic, fields)
+        times_ns = table["log_time_ns"].to_numpy()
+        order = np.argsort(times_ns, kind="stable")
+        self._times_ns = times_ns[order]
+        self._values = np.stack([table[name].to_numpy() for name in fields], axis=1)[order]
 
     def at(self, time_ns: int) -> list[float]:
-        """The last row at `time_ns` or up to `GAP_S` before it; NaN without such a row."""
-        times_ns, values = self._sorted
-        place = int(np.searchsorted(times_ns, time_ns, "right")) - 1
-        if place < 0 or time_ns - int(times_ns[place]) > GAP_S * 1e9:
-            return [math.nan] * self._width
-        row: list[float] = values[place].tolist()
+        """The last values at `time_ns` or up to `GAP_S` before it; NaN without them."""
+        place = int(np.searchsorted(self._times_ns, time_ns, "right")) - 1
+        if place < 0 or time_ns - int(self._times_ns[place]) > GAP_S * 1e9:
+            return [math.nan] * self._values.shape[1]
+        row: list[float] = self._values[place].tolist()
         return row
 
     def largest(self, column: int) -> float:
         """The largest finite number of a column, but at least 0."""
-        _, values = self._sorted
-        numbers = values[:, column]
+        numbers = self._values[:, column]
         return float(np.max(numbers[np.isfinite(numbers)], initial=0.0))
-
-    @cached_property
-    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The rows in the order of time, cached: no row may be added after this."""
-        times_ns = np.array(self._times_ns, np.int64)
-        order = np.argsort(times_ns, kind="stable")
-        return times_ns[order], np.array(self._numbers, np.float64).reshape(-1, self._width)[order]
 
 
 def _percent(text: str) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from dataset.config import Drives
 from recorder import Log
+from recorder.topics import PILOT_COMMAND
 
 Driver = Literal["", "pilot", "human", "expert"]
 DRIVERS: Final[tuple[Driver, ...]] = get_args(Driver)
@@ -31,14 +31,10 @@ class Commands:
 
 def read_commands(log: Log) -> Commands:
     """The commands in a log. Raises LogError if the log is damaged."""
-    numbers, steering = array("q"), array("d")
-    for message, command in log.commands():
-        # a driver of a later version is unknown
-        driver = command.driver if 0 <= command.driver < len(DRIVERS) else 0
-        numbers.extend((message.sequence, message.log_time_ns, driver))
-        steering.append(command.steering)
-    sequence, log_time_ns, drove = np.array(numbers, np.int64).reshape(-1, 3).T
-    return Commands(sequence, log_time_ns, drove.astype(np.int8), np.array(steering, np.float64))
+    table = log.numbers(PILOT_COMMAND, ["driver", "steering"])
+    sequence, log_time_ns, driver, steering = (column.to_numpy() for column in table.columns)
+    is_known = (driver >= 0) & (driver < len(DRIVERS))  # a later version may know more
+    return Commands(sequence, log_time_ns, np.where(is_known, driver, 0).astype(np.int8), steering)
 
 
 def is_taken(driver: NDArray[np.int8], drives: Drives) -> NDArray[np.bool_]:
