@@ -21,7 +21,7 @@ class DriveConfig:
     slow_in_curves: bool = False  # drive slower if the steering would push the car outwards at the set speed
     smooth_s: float = 0.0  # time constant of the steering's smoothing; 0: off
     max_steering_per_s: float = 0.0  # largest change of the steering in a second; 0: no limit
-    takeover: bool = False  # the simulator's expert takes over when the network leaves the lane
+    takeover: bool = False  # the simulator's expert takes over before the car leaves its lane
     car: Car | None = None  # the driven car; None: unknown, treated as Udacity's
 
     def __post_init__(self) -> None:

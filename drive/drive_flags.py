@@ -53,7 +53,7 @@ class Drive:
     real_time: bool = False
     """Run --simulator no faster than the clock."""
     takeover: Annotated[Literal["expert", "me"] | None, tyro.conf.arg(metavar="[expert|me]")] = None
-    """Let the expert take over outside the lane, or you in a browser (me)."""
+    """Let the expert take over before the car leaves its lane, or you in a browser (me)."""
     open: bool = False
     """With --takeover me: open the browser."""
     page: bool = True

@@ -1,4 +1,4 @@
-"""The takeovers: by the simulator's expert when the network leaves the lane, by a person at the first touch of a
+"""The takeovers: by the simulator's expert before the car leaves its lane, by a person at the first touch of a
 key, stick or wheel."""
 
 from __future__ import annotations
