@@ -13,8 +13,13 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
 _DOUBLE_BYTES: Final = 1 + 8  # a tag, and eight bytes in little-endian order
-_SMALL_BYTES: Final = 1 + 1  # a tag, and a number below 128
+_VARINT_BYTES: Final = 5  # at most; the seconds of a time have five until the year 3058
 _LAST_NUMBER: Final = 15  # of the fields whose tag is one byte
+_PADDING: Final = bytes(16)  # a cut-off field of the last message ends in it
+_VARINT, _EIGHT_BYTES, _LENGTH_FIRST = 0, 1, 2  # wire types
+
+Places = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 def decode_numbers(
@@ -25,38 +30,18 @@ def decode_numbers(
     names: Sequence[str],
 ) -> NDArray[np.float64]:
     """The fields `names` of N serialised messages of a type: an array (len(names), N). Message i is
-    data[starts[i]:ends[i]]. A missing `optional` field is NaN.
+    data[starts[i]:ends[i]]. A missing `optional` field is NaN. A field of a field is named "pose.position.x".
 
     Usual messages have each field at most once, in the order of their numbers
-    (https://protobuf.dev/programming-guides/encoding/), and counts below 128. They are decoded together. Protobuf
-    decodes other messages, and all messages of types with fields of other kinds. Raises DecodeError as Protobuf
-    does.
+    (https://protobuf.dev/programming-guides/encoding/), counts below 128, and short texts. They are decoded
+    together, other messages by Protobuf. Raises DecodeError as Protobuf does.
     """
     values = np.zeros((len(names), len(starts)))
-    is_done = np.zeros(len(starts), np.bool_)
-    fields: list[Any] = sorted(kind.DESCRIPTOR.fields, key=attrgetter("number"))
-    if all(map(_is_plain, fields)):
-        # the padding lets a cut-off field of the last message end beyond it
-        padded = np.frombuffer(data + bytes(2 * _DOUBLE_BYTES), np.uint8)
-        doubles = np.ndarray(len(padded) - _DOUBLE_BYTES, "<f8", padded, strides=(1,))  # at each byte
-        at = starts.copy()
-        for field in fields:
-            is_double = field.type == field.TYPE_DOUBLE
-            is_present = (padded[at] == (field.number << 3 | is_double)) & (at < ends)  # wire type 1: eight bytes
-            if not is_double:
-                is_present &= padded[at + 1] < 0x80
-            present = slice(None) if is_present.all() else np.flatnonzero(is_present)
-            if field.name in names:
-                row = values[names.index(field.name)]
-                if field.has_presence:
-                    row[:] = np.nan
-                if is_double:
-                    row[present] = doubles[at[present] + 1]
-                else:
-                    row[present] = padded[at[present] + 1]
-            at[present] += _DOUBLE_BYTES if is_double else _SMALL_BYTES
-        is_done = at == ends
+    fields: list[Any] = list(kind.DESCRIPTOR.fields)
     lacking = {field.name for field in fields if field.has_presence and field.message_type is None}
+    values[[name in lacking for name in names]] = np.nan
+    together = _Together(data, names, values)
+    is_done = together.decode(kind.DESCRIPTOR, np.arange(len(starts)), starts, ends)
     for number in np.flatnonzero(~is_done).tolist():
         message = kind.FromString(data[starts[number] : ends[number]])
         for row, name in zip(values, names, strict=True):
@@ -65,7 +50,75 @@ def decode_numbers(
     return values
 
 
-def _is_plain(field: Any) -> bool:
-    is_number = field.type in (field.TYPE_DOUBLE, field.TYPE_ENUM, field.TYPE_UINT32)
+class _Together:
+    """Decodes the same field of many messages at once."""
+
+    def __init__(self, data: bytes, names: Sequence[str], values: NDArray[np.float64]) -> None:
+        self._bytes = np.frombuffer(data + _PADDING, np.uint8)
+        # a view of the double that begins at each byte
+        self._doubles = np.ndarray(len(self._bytes) - 7, "<f8", self._bytes, strides=(1,))
+        self._rows = dict(zip(names, values, strict=True))
+
+    def decode(self, kind: Any, numbers: Places, starts: Places, ends: Places, prefix: str = "") -> Mask:
+        """Write the fields of messages `numbers` (N,), from `starts` to `ends`, to their values. Returns a mask
+        (N,) of the usual messages, which are done."""
+        at, is_usual = starts.copy(), np.ones(len(starts), np.bool_)
+        for field in sorted(kind.fields, key=attrgetter("number")):
+            wire = _wire_type(field)
+            if wire is None:
+                continue
+            has_field = (self._bytes[at] == (field.number << 3 | wire)) & (at < ends)
+            (found,) = np.nonzero(has_field)
+            if len(found) == 0:
+                continue
+            begin, row = at[found] + 1, self._rows.get(prefix + field.name)
+            if wire == _EIGHT_BYTES:
+                at[found] += _DOUBLE_BYTES
+                if row is not None:
+                    row[numbers[found]] = self._doubles[begin]
+            elif wire == _VARINT:
+                size = self._varint_bytes(begin)
+                at[found] = begin + size
+                is_usual[found] &= (size > 0) if row is None else (size == 1)
+                if row is not None:
+                    row[numbers[found]] = self._bytes[begin]
+            else:
+                size = self._bytes[begin].astype(np.int64)
+                until = np.minimum(begin + 1 + size, ends[found])
+                is_usual[found] &= (size < 0x80) & (until == begin + 1 + size)
+                at[found] = until
+                if field.message_type is None:
+                    is_usual[found] &= self._are_equal_ascii(begin, size)
+                else:
+                    inside = f"{prefix}{field.name}."
+                    is_usual[found] &= self.decode(field.message_type, numbers[found], begin + 1, until, inside)
+        is_usual &= at == ends
+        return is_usual
+
+    def _varint_bytes(self, begin: Places) -> Places:
+        """The length of each varint; 0 for a long one."""
+        if (self._bytes[begin] < 0x80).all():
+            return np.ones(len(begin), np.int64)
+        window = np.minimum(begin[:, None] + np.arange(_VARINT_BYTES), len(self._bytes) - 1)
+        is_last = self._bytes[window] < 0x80
+        return np.where(is_last.any(axis=1), is_last.argmax(axis=1) + 1, 0)
+
+    def _are_equal_ascii(self, begin: Places, size: Places) -> Mask:
+        """True for each text that is equal to the first one, which is in ASCII. Protobuf decodes other texts, and
+        refuses wrong UTF-8."""
+        first = self._bytes[begin[0] : begin[0] + 1 + size[0]]  # with its length
+        window = np.minimum(begin[:, None] + np.arange(len(first)), len(self._bytes) - 1)
+        are_equal: Mask = (self._bytes[window] == first).all(axis=1) & (first < 0x80).all()
+        return are_equal
+
+
+def _wire_type(field: Any) -> int | None:
+    """The wire type of a field that is decoded together; None: left to Protobuf."""
     is_repeated = isinstance(field.default_value, list)  # `field.is_repeated` is not in Protobuf 5
-    return is_number and not is_repeated and field.number <= _LAST_NUMBER
+    if is_repeated or field.number > _LAST_NUMBER:
+        return None
+    if field.type == field.TYPE_DOUBLE:
+        return _EIGHT_BYTES
+    if field.type in (field.TYPE_ENUM, field.TYPE_UINT32, field.TYPE_INT32, field.TYPE_INT64):
+        return _VARINT
+    return _LENGTH_FIRST if field.type in (field.TYPE_STRING, field.TYPE_MESSAGE) else None

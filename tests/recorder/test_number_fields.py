@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
@@ -113,6 +114,46 @@ def test_no_usual_message_is_decoded_alone(kind: type[VehicleState | PilotComman
     fields: dict[str, Any] = {field.name: 1 for field in kind.DESCRIPTOR.fields}
     (row,) = decode_numbers([kind(**fields).SerializeToString()], cast("Any", OnlyTogether), list(fields)).T
     assert row.tolist() == [1.0] * len(fields)
+
+
+POSE_NAMES = ("pose.position.x", "pose.orientation.w", "timestamp.nanos")
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> bytes:
+    """A pose, with one byte changed or its end cut off, or whole."""
+    pose = PoseInFrame(frame_id=draw(st.sampled_from(["road", "", "Straße", "r" * 200])))
+    pose.timestamp.seconds, pose.timestamp.nanos = draw(st.integers(-1, 2**40)), draw(st.integers(-1, 200))
+    pose.pose.position.x, pose.pose.orientation.w = draw(numbers), draw(numbers)
+    content = bytearray(pose.SerializeToString())
+    if draw(st.booleans()):
+        content[draw(st.integers(0, len(content) - 1))] = draw(st.integers(0, 255))
+    return bytes(content[: len(content) - draw(st.sampled_from([0, 0, 0, 1, 9]))])
+
+
+@given(st.lists(poses(), max_size=6))
+def test_poses_are_those_of_protobuf(contents: list[bytes]) -> None:
+    try:
+        messages = [PoseInFrame.FromString(content) for content in contents]
+    except DecodeError:
+        with pytest.raises(DecodeError):
+            decode_numbers(contents, PoseInFrame, POSE_NAMES)
+        return
+    expected = np.array([[attrgetter(name)(message) for message in messages] for name in POSE_NAMES], np.float64)
+    decoded = decode_numbers(contents, PoseInFrame, POSE_NAMES)
+    assert np.array_equal(decoded, expected.reshape(3, len(contents)), equal_nan=True)
+
+
+def test_no_usual_pose_is_decoded_alone() -> None:
+    class OnlyTogether:
+        DESCRIPTOR = PoseInFrame.DESCRIPTOR
+
+    pose = PoseInFrame(frame_id="road")
+    pose.timestamp.FromNanoseconds(1_795_000_000_123_456_789)
+    pose.pose.position.x, pose.pose.orientation.w = 3.0, 1.0
+    contents = [pose.SerializeToString()] * 2
+    (x, w) = decode_numbers(contents, cast("Any", OnlyTogether), POSE_NAMES[:2])
+    assert (x.tolist(), w.tolist()) == ([3.0, 3.0], [1.0, 1.0])
 
 
 def test_fields_are_given_in_the_order_that_is_asked_for() -> None:
