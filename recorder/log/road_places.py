@@ -82,10 +82,11 @@ def last_place_m(log: Log) -> float | None:
         line = load_track(log.metadata.get("track", "")).line
     except ValueError:
         return None
-    position = None
-    for _, message in log.decoded(topics.POSE) if topics.POSE in log.counts else ():
-        position = message.pose.position
-    if position is None or not (abs(position.x) < FARTHEST_M and abs(position.y) < FARTHEST_M):
+    table = log.numbers(topics.POSE, _FIELDS[:2])
+    if not len(table):
         return None
-    rear_m, _ = line.project(position.x, position.y)
+    x_m, y_m = (table[name][-1].as_py() for name in _FIELDS[:2])
+    if not (abs(x_m) < FARTHEST_M and abs(y_m) < FARTHEST_M):
+        return None
+    rear_m, _ = line.project(x_m, y_m)
     return (rear_m + AXLE_TO_CENTRE_M) % line.length_m

@@ -15,7 +15,6 @@ from rerun.chunk import Chunk
 
 from common import Skipped, UserError
 from recorder import Log
-from recorder.topics import POSE
 from viz.playback.blueprint import LOG_COLORS, comparison_layout, log_entity
 from viz.playback.curves import Drawing
 from viz.playback.log_chunks import read_chunks
@@ -127,8 +126,8 @@ def _place_clock(pose_ns: Times, placed_m: NDArray[np.float64]) -> Clock:
 
 
 def _way(path: Path, drawn: DrawnMessages) -> tuple[Times, NDArray[np.float64]]:
-    time_ns, poses = drawn.others.get(POSE, (np.zeros(0, np.int64), []))
-    way = np.array([(pose.pose.position.x, pose.pose.position.y) for pose in poses], np.float64).reshape(-1, 2)
+    time_ns, poses = drawn.poses
+    way = np.stack([poses["pose.position.x"], poses["pose.position.y"]], axis=1)
     is_known = np.isfinite(way).all(axis=1)
     order = np.argsort(time_ns[is_known], kind="stable")
     if not is_known.any():

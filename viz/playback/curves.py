@@ -43,6 +43,10 @@ _ALONG: Final = np.linspace(0, 1, 9)  # positions along an arc
 _STRIPS: Final = pa.list_(
     pa.field("item", pa.list_(pa.field("item", pa.float32(), nullable=False), 2), nullable=False)
 )
+_POSE_FIELDS: Final = (
+    *(f"pose.position.{axis}" for axis in "xyz"),  # m
+    *(f"pose.orientation.{axis}" for axis in "xyzw"),  # a quaternion
+)
 _CAR_M: Final = 8.0  # length of the arrow that is the car, seen from above
 _PATH_COLOR: Final = (110, 150, 110)
 MAX_PATH_POINTS: Final = 2000  # a longer path keeps every second point
@@ -91,23 +95,24 @@ class Drawing:
 
     def send(self, topic: str, time_ns: Times, contents: Sequence[Any]) -> None:
         """Draw messages of one topic: log times (N,) in ns, and N contents."""
-        if topic == POSE:
-            self._poses(time_ns, contents)
-        elif topic == EVENTS:
+        if topic == EVENTS:
             self._events(time_ns, contents)
         else:
-            numbers = _numbers(topic, contents)
+            numbers = numbers_of(topic, contents)
             self.send_numbers(topic, time_ns, numbers)
             self.send_arcs(topic, time_ns, numbers)
 
     def send_numbers(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
-        """Draw the curves of one topic: log times (N,) in ns, and values (N,) of each of its `number_fields`."""
+        """Draw the curves, or poses, of one topic: log times (N,) in ns, and values (N,) of each of its
+        `number_fields`."""
         for curve, curve_ns, values in curve_values(topic, time_ns, numbers):
             self.curve(curve, curve_ns, values)
         if topic == VEHICLE:
             self._count(numbers["steering"])
         elif topic == PILOT_COMMAND:
             self._drivers(time_ns, numbers["driver"].astype(np.int64))
+        elif topic == POSE:
+            self._poses(time_ns, np.stack([numbers[name] for name in _POSE_FIELDS]))
 
     def send_arcs(self, topic: str, time_ns: Times, numbers: Numbers) -> None:
         """Draw the steering of one topic over the frame, from the same numbers: much larger than curves."""
@@ -165,8 +170,8 @@ class Drawing:
             self._send(entity, time_ns[changes], rr.StateChange.columns(state=states))
         self._driver = int(drivers[-1]) if len(drivers) else self._driver
 
-    def _poses(self, time_ns: Times, poses: Sequence[Any]) -> None:
-        x, y, z, qx, qy, qz, qw = _places_and_turns(poses).T
+    def _poses(self, time_ns: Times, poses: Values) -> None:
+        x, y, z, qx, qy, qz, qw = poses
         heading = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy**2 + qz**2))  # radians from x towards y
         placed = np.stack([x, y, heading], axis=1)
         is_known = np.isfinite(placed).all(axis=1) & (np.abs(placed) < 1e6).all(axis=1)
@@ -220,7 +225,7 @@ class Trail:
 
 def number_fields(topic: str) -> list[str]:
     """The fields of a topic's messages that are drawn as numbers; empty for a topic with other drawings."""
-    others = ("driver",) if topic == PILOT_COMMAND else ()
+    others = {PILOT_COMMAND: ("driver",), POSE: _POSE_FIELDS}.get(topic, ())
     return list(dict.fromkeys((*(line.field for line in TOPICS[topic].lines), *others)))
 
 
@@ -252,7 +257,7 @@ def prediction_curves(predictions: LogPredictions, first: int = 0) -> Iterator[t
             )
 
 
-def _numbers(topic: str, contents: Sequence[Any]) -> Numbers:
+def numbers_of(topic: str, contents: Sequence[Any]) -> Numbers:
     """The fields `number_fields` of N messages; NaN where a message lacks an optional field."""
     optional = {line.field for line in TOPICS[topic].lines if line.is_optional}
 
@@ -293,12 +298,3 @@ def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
     middles = (np.arange(bins) + 0.5) * 2 / bins - 1
     widths = np.full(bins, 0.9 * 2 / bins, np.float32)
     return rr.BarChart(counts, abscissa=middles, widths=widths, color=BLUE)
-
-
-def _places_and_turns(messages: Sequence[Any]) -> Values:
-    """Positions in m and attitudes as quaternions of N poses: x, y, z, qx, qy, qz, qw (N, 7)."""
-    places = np.empty((len(messages), 7))
-    for row, message in zip(places, messages, strict=True):
-        at, turn = message.pose.position, message.pose.orientation
-        row[:] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
-    return places

@@ -22,6 +22,7 @@ from common.errors import printable
 from common.files import refuse_existing
 from common.progress import track
 from recorder import Log, LogError
+from recorder.log.reader import Message
 from recorder.topics import EVENTS, POSE, TOPICS
 from recorder.upkeep.recover import recover
 from viz.playback.blueprint import CENTER, Curve, log_layout
@@ -32,6 +33,7 @@ from viz.playback.curves import (
     curve_values,
     frame_size,
     number_fields,
+    numbers_of,
     prediction_curves,
 )
 from viz.playback.log_chunks import protobuf_topics, read_chunks
@@ -59,13 +61,8 @@ class DrawnMessages:
         """Reads all numbers. Raises LogError if the log is damaged."""
         log.messages(EVENTS)  # first the index, which shows its own progress bar
         self._log = log
-        self.numbers: dict[str, tuple[Times, Numbers]] = {}
+        self.numbers = {topic: _columns(log, topic) for topic in _of_registry(log) if topic not in (POSE, EVENTS)}
         """Log times (N,) in ns and values (N,) of each field, by topic."""
-        for topic in _of_registry(log):
-            if fields := number_fields(topic):
-                table = log.numbers(topic, fields)
-                times = table["log_time_ns"].to_numpy()
-                self.numbers[topic] = times, {name: table[name].to_numpy() for name in fields}
 
     @cached_property
     def picture_size(self) -> tuple[int, int] | None:
@@ -73,17 +70,23 @@ class DrawnMessages:
         return _picture_size(self._log)
 
     @cached_property
-    def others(self) -> dict[str, tuple[Times, list[Any]]]:
-        """Poses and events: log times (N,) in ns and N contents, by topic."""
-        by_topic = {}
-        for topic in _of_registry(self._log):
-            if topic in self.numbers:
-                continue
-            messages = _poses(self._log) if topic == POSE else self._log.decoded(topic)
-            pairs = list(track(messages, f"reading {topic}", self._log.counts[topic]))
-            time_ns = np.array([message.log_time_ns for message, _ in pairs], np.int64)
-            by_topic[topic] = time_ns, [content for _, content in pairs]
-        return by_topic
+    def poses(self) -> tuple[Times, Numbers]:
+        """As an entry of `numbers`; empty without poses."""
+        log = self._log
+        if POSE in _of_registry(log):
+            with contextlib.suppress(
+                LogError
+            ):  # a damaged pose: the path gets a gap, which `bc-log check` reports
+                return _columns(log, POSE)
+        time_ns, poses = _split(_readable_poses(log) if POSE in _of_registry(log) else ())
+        return time_ns, numbers_of(POSE, poses)
+
+    @cached_property
+    def events(self) -> tuple[Times, list[Any]]:
+        """Log times (N,) in ns, and N contents."""
+        if EVENTS not in _of_registry(self._log):
+            return _split(())
+        return _split(track(self._log.decoded(EVENTS), f"reading {EVENTS}", self._log.counts[EVENTS]))
 
 
 @dataclass(frozen=True)
@@ -192,8 +195,10 @@ def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
     drawing.picture_size = drawn.picture_size or drawing.picture_size
     for topic, (time_ns, numbers) in drawn.numbers.items():
         drawing.send_arcs(topic, time_ns, numbers)
-    for topic, (time_ns, contents) in drawn.others.items():
-        drawing.send(topic, time_ns, contents)
+    pose_ns, poses = drawn.poses
+    if len(pose_ns):
+        drawing.send_numbers(POSE, pose_ns, poses)
+    drawing.send(EVENTS, *drawn.events)
     drawing.finish()
 
 
@@ -253,9 +258,20 @@ def _is_ours(log: Log, topic: str) -> bool:
     return protobuf_topics(log).get(topic) == TOPICS[topic].message.name
 
 
-def _poses(log: Log) -> Iterator[tuple[Any, PoseInFrame]]:
+def _columns(log: Log, topic: str) -> tuple[Times, Numbers]:
+    fields = number_fields(topic)
+    table = log.numbers(topic, fields)
+    return table["log_time_ns"].to_numpy(), {name: table[name].to_numpy() for name in fields}
+
+
+def _split(messages: Iterable[tuple[Message, Any]]) -> tuple[Times, list[Any]]:
+    pairs = list(messages)
+    return np.array([message.log_time_ns for message, _ in pairs], np.int64), [content for _, content in pairs]
+
+
+def _readable_poses(log: Log) -> Iterator[tuple[Message, PoseInFrame]]:
     for message, content in log.contents(POSE):
-        with contextlib.suppress(DecodeError):  # the path has a gap, which `bc-log check` reports
+        with contextlib.suppress(DecodeError):
             yield message, PoseInFrame.FromString(content)
 
 
