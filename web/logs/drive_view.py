@@ -3,6 +3,7 @@ keeps them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from concurrent.futures import Executor
 from itertools import islice
@@ -17,7 +18,6 @@ from common.errors import printable
 from common.location import Location, absolute
 from drive.control.takeover import TAKES_OVER
 from recorder import Log, topics
-from recorder.bc_pb2 import PilotCommand
 from recorder.log.meant_gaps import HUMAN_DRIVES
 from recorder.log.session_car import max_steering_deg_of
 from web.folders.background import Background
@@ -47,7 +47,7 @@ class CarPlace(NamedTuple):
     mph: float
     driver: int  # bc.PilotCommand.Driver
     error_deg: float | None
-    """The sent steering minus that of the simulator's expert; None without an expert."""
+    """The difference of the sent steering from the expert's; None without an expert."""
 
 
 class DriveView(msgspec.Struct, frozen=True):
@@ -86,32 +86,31 @@ def _read(path: Location) -> DriveView:
     with Log(path) as log:
         states = log.vehicle()
         rows, time_ns, mph = (states[name].to_numpy() for name in ("row", "log_time_ns", "speed_mph"))
-        events = drive_events(log, rows, time_ns)
-        sent: dict[int, tuple[int, float | None]] = {}
-        if topics.PILOT_COMMAND in log.counts:
-            full_deg = max_steering_deg_of(log)
-            sent = {
-                message.sequence: (command.driver, _error_deg(command, full_deg))
-                for message, command in log.commands()
-            }
-        speeds = dict(zip(rows.tolist(), mph.tolist(), strict=True))
-        path_of_car: list[CarPlace] = []
-        if count := log.counts.get(topics.POSE, 0):
-            step = count // _MAX_POINTS + 1
-            for number, (message, pose) in enumerate(log.decoded(topics.POSE)):
-                place = pose.pose.position
-                if number % step == 0 and abs(place.x) < 1e6 and abs(place.y) < 1e6:
-                    row = message.sequence
-                    speed = speeds.get(row, 0.0)
-                    speed = speed if abs(speed) < 1000 else 0.0
-                    driver, error_deg = sent.get(row, (0, None))
-                    path_of_car.append(
-                        CarPlace(row, round(place.x, 2), round(place.y, 2), speed, driver, error_deg)
-                    )
         counted = {
             printable(name): printable(value) for name, value in log.read_metadata(topics.DRIVE_METADATA).items()
         }
-        return DriveView(counted, events, path_of_car)
+        return DriveView(counted, drive_events(log, rows, time_ns), _path(log, rows, mph))
+
+
+def _path(log: Log, rows: NDArray[np.int64], mph: NDArray[np.float64]) -> list[CarPlace]:
+    """The car's places. `rows` and `mph` (N,) are of all states."""
+    poses = log.numbers(topics.POSE, ("pose.position.x", "pose.position.y"))
+    step = len(poses) // _MAX_POINTS + 1
+    row, _, x_m, y_m = (column.to_numpy()[::step] for column in poses.columns)
+    speeds = dict(zip(rows.tolist(), np.where(np.abs(mph) < 1000, mph, 0.0).tolist(), strict=True))
+    commands = log.numbers(topics.PILOT_COMMAND, ("driver", "steering", "expert_steering"))
+    command_rows, _, driver, steering, expert = (column.to_numpy() for column in commands.columns)
+    full_deg = max_steering_deg_of(log)
+    error_deg = np.abs(steering - expert) * full_deg
+    errors = np.where(error_deg <= 2 * full_deg, np.round(error_deg, 2), np.nan).tolist()
+    sent = dict(zip(command_rows.tolist(), zip(driver.astype(int).tolist(), errors, strict=True), strict=True))
+    places = []
+    for number, x, y in zip(row.tolist(), x_m.tolist(), y_m.tolist(), strict=True):
+        if abs(x) < 1e6 and abs(y) < 1e6:
+            by, error = sent.get(number, (0, math.nan))
+            known = None if math.isnan(error) else error
+            places.append(CarPlace(number, round(x, 2), round(y, 2), speeds.get(number, 0.0), by, known))
+    return places
 
 
 def drive_events(log: Log, rows: NDArray[np.int64], time_ns: NDArray[np.int64]) -> list[DriveEvent]:
@@ -125,10 +124,3 @@ def drive_events(log: Log, rows: NDArray[np.int64], time_ns: NDArray[np.int64]) 
         seconds = float(time_ns[at] - time_ns[0]) / 1e9
         events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
     return events
-
-
-def _error_deg(command: PilotCommand, full_deg: float) -> float | None:
-    if not command.HasField("expert_steering"):
-        return None
-    error_deg = abs(command.steering - command.expert_steering) * full_deg
-    return round(error_deg, 2) if error_deg <= 2 * full_deg else None  # False for NaN
