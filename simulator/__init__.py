@@ -6,15 +6,22 @@ from behavioural_cloning_toolkit import refuse_hidden
 refuse_hidden(__name__)
 
 
+from typing import TYPE_CHECKING
+
+from common.lazy import lazy_names
 from simulator.gymnasium_ids import register_environments
-from simulator.protocol.client import (
-    NoHostError,
-    SimulatorClient,
-    SimulatorTelemetry,
-    SteerCommand,
-    WaitTimeoutError,
-)
+
+if TYPE_CHECKING:
+    from simulator.protocol.client import (
+        NoHostError,
+        SimulatorClient,
+        SimulatorTelemetry,
+        SteerCommand,
+        WaitTimeoutError,
+    )
 
 __all__ = ["NoHostError", "SimulatorClient", "SimulatorTelemetry", "SteerCommand", "WaitTimeoutError"]
+
+__getattr__, __dir__ = lazy_names(__name__, dict.fromkeys(__all__, "simulator.protocol.client"))
 
 register_environments()

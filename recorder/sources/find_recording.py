@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final, Literal
 
 from recorder.sources.donkeycar_tub import is_tub
-from recorder.sources.lerobot_dataset import is_lerobot
 from recorder.sources.ros2_bag import MCAP, SQLITE, is_bag
 from recorder.sources.udacity_recording import CSV_NAME
 
@@ -17,6 +16,10 @@ _MAX_FOLDERS: Final = 200  # searched: a home folder may hold anything
 _MAX_SUGGESTED: Final = 3
 
 Kind = Literal["log", "lerobot", "tub", "udacity", ""]
+
+
+def is_lerobot(folder: Path) -> bool:
+    return os.path.isfile(folder / "meta" / "info.json")  # noqa: PTH113  (never raises)
 
 
 def is_udacity(folder: Path) -> bool:

@@ -97,10 +97,6 @@ class LeRobotFolder:
             ) from None
 
 
-def is_lerobot(folder: Path) -> bool:
-    return os.path.isfile(folder / INFO_PATH)  # noqa: PTH113  (never raises)
-
-
 def open_dataset(folder: Path) -> LeRobotFolder:
     """Raises RecordingError for anything but a dataset of format v3."""
     path = folder / INFO_PATH
