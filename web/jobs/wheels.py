@@ -131,13 +131,14 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
 
 
 TAKEOVERS_RECIPE: Final[Recipe] = "people"
-"""Without altered pictures, as learning from takeovers was measured (docs/at-the-wheel.md)."""
+"""Without altered pictures, as learning from takeovers was measured (docs/studies/at-the-wheel.md)."""
 
 
 def quick_epochs(rows: int) -> int:
     """The epochs in which a network learns to drive from so many rows. Half a lap takes two minutes on fast cores.
 
-    Half a lap of both tracks gets six: after three, two of three networks needed help (docs/at-the-wheel.md).
+    Half a lap of both tracks gets six: after three, two of three networks needed help
+    (docs/studies/at-the-wheel.md).
     """
     rows = max(1, rows)
     return round(max(2, min(10, max(6000 / rows, min(6, 13_000 / rows)))))
