@@ -163,31 +163,28 @@ class StoredFolder(Closeable):
             self._put_record(changed, removed)
         return bool(changed or removed)
 
-    def _upload_file(self, name: str) -> None:
-        self._copies[name] = self._uploaded(name)
-
     def _remove(self, name: str) -> None:
         stored = find_object(self.url.joined(name))
         if stored is not None and stored.version == _version_of(self._copies[name]).name:
             remove(stored.url)
         del self._copies[name]
 
-    def _uploaded(self, name: str) -> Copy:
+    def _upload_file(self, name: str) -> None:
         path = self.local / name
-        for is_last in (*(False,) * _MAX_WRITERS, True):
+        for attempt in range(_MAX_WRITERS + 1):
             status, sha256 = path.stat(), _sha256_of(path)
             copy = self._copies.get(name)
             try:
                 version = put_file(self.url.joined(name), path, None if copy is None else _version_of(copy))
             except ObjectChangedError:
-                if is_last or name not in self._line_files:
+                if attempt == _MAX_WRITERS or name not in self._line_files:
                     raise
                 self._copies[name] = self._download_file(name, StoredObject(self.url.joined(name), 0, ""), None)
                 if not self._is_changed(name):  # the store already has all local lines
-                    return self._copies[name]
-                continue
-            return Copy(status.st_size, status.st_mtime_ns, version.e_tag, version.version, sha256)
-        raise AssertionError
+                    return
+            else:
+                self._copies[name] = _copy_of(status, version, sha256)
+                return
 
     def _put_record(self, changed: Sequence[str], removed: Sequence[str]) -> None:
         """Write the uploaded files into the store's record; the entries of other machines stay."""
@@ -254,13 +251,7 @@ class StoredFolder(Closeable):
             raise ObjectChangedError(
                 f"{stored.url}: was removed while it was read; give the command again"
             ) from None
-        return Copy(
-            status.st_size,
-            status.st_mtime_ns,
-            source.version.e_tag,
-            source.version.version,
-            content.hexdigest(),
-        )
+        return _copy_of(status, source.version, content.hexdigest())
 
     def _write_record(self, left: dict[str, Copy], record_version: str) -> None:
         self._record = StoreRecord(str(self.url), dict(self._copies), left, record_version)
@@ -287,6 +278,10 @@ def _bar(progress: Progress | None, description: str, total: int) -> contextlib.
     if progress is None or not total:
         return contextlib.nullcontext(lambda more: None)
     return progress_task(progress, description, total)
+
+
+def _copy_of(status: os.stat_result, version: ObjectVersion, sha256: str) -> Copy:
+    return Copy(status.st_size, status.st_mtime_ns, version.e_tag, version.version, sha256)
 
 
 def _version_of(copy: Copy) -> ObjectVersion:
