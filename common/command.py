@@ -11,12 +11,12 @@ import dataclasses
 import inspect
 import logging
 import re
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 import tyro
@@ -100,7 +100,8 @@ def run_command(
     """
     announce = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
-        with signals_wake_main_thread(), handle_signals(_interrupt), _logging_as_messages():
+        # one handler for all signals: `kill` cleans up as Ctrl-C does
+        with signals_wake_main_thread(), handle_signals(signal.default_int_handler), _logging_as_messages():
             try:
                 about = f"{_paragraphs(description or config.__doc__ or '')}\n\n{_VERSION_FLAG}"
                 code = _run(prog, config, action, about, default)
@@ -129,11 +130,6 @@ def _logging_as_messages() -> Iterator[None]:
         yield
     finally:
         logging.getLogger().removeHandler(handler)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    """The handler of all signals: `kill` cleans up as Ctrl-C does."""
-    raise KeyboardInterrupt
 
 
 def _force_quit(prog: str) -> NoReturn:
