@@ -122,7 +122,9 @@ class ObjectFile(Closeable):
             return b""
 
         def part() -> bytes | None:
-            options = _range_of(offset, length, self.version.e_tag)
+            options: GetOptions = {"range": (offset, offset + length)}
+            if self.version.e_tag:
+                options["if_match"] = self.version.e_tag
             try:
                 answer = obstore.get(store_of(self.url, True), self.url.key, options=options)
                 if (answer.meta["e_tag"] or "") != self.version.e_tag or answer.meta["size"] != self.size:
@@ -192,13 +194,6 @@ def again_if_cut_off(
             if attempt == _MAX_ATTEMPTS or not (is_cut_off(str(error)) and may_repeat()):
                 raise
     raise StoreError(f"{url}: the download was cut off {_MAX_ATTEMPTS} times")
-
-
-def _range_of(offset: int, length: int, version: str) -> GetOptions:
-    options: GetOptions = {"range": (offset, offset + length)}
-    if version:
-        options["if_match"] = version
-    return options
 
 
 def _done(data: bytes) -> Future[bytes]:
