@@ -132,13 +132,10 @@ def _parts_of(file: Path | None) -> set[Path]:
 
 
 def _flags(where: str) -> list[str]:
-    match where:
-        case "window":
-            return []
-        case "web":
-            return ["--web"]
-        case "connect":
-            return ["--connect"]
+    if where == "window":
+        return []
+    if where in ("web", "connect"):
+        return [f"--{where}"]
     if where.endswith(".rrd"):
         return ["--save", where]
     if not _ADDRESS.search(where):
