@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, assert_never
+from typing import Final, Protocol
 
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
@@ -20,16 +20,15 @@ class SimulatedDriver(Protocol):
         ...
 
 
+_DRIVERS: Final[dict[DriverName, type[Expert | KeyboardDriver | MouseDriver]]] = {
+    "expert": Expert,
+    "keyboard": KeyboardDriver,
+    "mouse": MouseDriver,
+}
+
+
 def make_driver(
     name: DriverName, line: Centreline, set_speed_mph: float, noise: float, seed: int
 ) -> SimulatedDriver:
     """A driver of the road ``line``. Raises ValueError for a speed of 0 or less, or a negative noise."""
-    match name:
-        case "expert":
-            return Expert(line, set_speed_mph, noise, seed)
-        case "keyboard":
-            return KeyboardDriver(line, set_speed_mph, noise, seed)
-        case "mouse":
-            return MouseDriver(line, set_speed_mph, noise, seed)
-        case _:
-            assert_never(name)
+    return _DRIVERS[name](line, set_speed_mph, noise, seed)
