@@ -127,15 +127,22 @@ def refuse_empty_flags(config: Any) -> None:
 
 def _flags_of_words(config: Any) -> Iterator[tuple[str, str]]:
     """The names and metavars of the flags that need a word or several, and have none by default."""
+    for flag, notes in _flags_of(config):
+        metavar = next((note.metavar for note in notes if getattr(note, "metavar", None)), "[")
+        if flag.default == () and not metavar.startswith("[") and tyro.conf.Positional not in notes:
+            yield f"--{flag.name.replace('_', '-')}", metavar
+
+
+def _flags_of(config: Any) -> Iterator[tuple[dataclasses.Field[Any], tuple[Any, ...]]]:
+    """The flags of a dataclass, and of the dataclasses in it, each with the notes of its type."""
     hints = get_type_hints(config, include_extras=True)
     for flag in dataclasses.fields(config):
-        notes = getattr(hints[flag.name], "__metadata__", ())
-        metavar = next((note.metavar for note in notes if getattr(note, "metavar", None)), "[")
-        inner = getattr(hints[flag.name], "__origin__", hints[flag.name])
+        hint = hints[flag.name]
+        inner = getattr(hint, "__origin__", hint)
         if dataclasses.is_dataclass(inner):
-            yield from _flags_of_words(inner)
-        elif flag.default == () and not metavar.startswith("[") and tyro.conf.Positional not in notes:
-            yield f"--{flag.name.replace('_', '-')}", metavar
+            yield from _flags_of(inner)
+        else:
+            yield flag, getattr(hint, "__metadata__", ())
 
 
 def _choices(hint: Any) -> Iterator[str]:
@@ -159,13 +166,8 @@ def _names_of(kind: Any) -> Iterator[str]:
             yield from (note.name for note in variant.__metadata__)
             yield from _names_of(variant.__origin__)
         return
-    hints = get_type_hints(kind, include_extras=True)
-    for flag in dataclasses.fields(kind):
-        notes = getattr(hints[flag.name], "__metadata__", ())
-        inner = getattr(hints[flag.name], "__origin__", hints[flag.name])
-        if dataclasses.is_dataclass(inner):
-            yield from _names_of(inner)
-        elif tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
+    for flag, notes in _flags_of(kind):
+        if tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
             name = next((note.name for note in notes if getattr(note, "name", None)), flag.name)
             dashes = "--no-" if flag.default is True else "--"
             yield dashes + name.replace("_", "-")
