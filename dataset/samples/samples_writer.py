@@ -81,7 +81,14 @@ def write_samples(
     is_training = np.concatenate([session.is_training for session in sessions])
     chosen, balanced = choose_samples(label, is_training, config)
     del label, is_training
-    metadata = {"format": SAMPLES_FORMAT, **_samples_metadata(config, logs, labels, balanced, counts)}
+    metadata = {
+        "format": SAMPLES_FORMAT,
+        "settings": asdict(config),
+        "logs": {name: dict(source) for name, source in logs.items()},
+        "labels": {name: asdict(of_session) for name, of_session in labels.items()},
+        "balance": balanced.as_dict(),
+        "counts": {name: asdict(count) for name, count in counts.items()},
+    }
     stored = {METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()}
     ends = np.searchsorted(chosen.frame, np.cumsum(sizes))
     starts = np.concatenate([[0], ends[:-1]])
@@ -140,23 +147,6 @@ def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) ->
     frames = ", ".join(f"{totals[name]:,} {reason}" for name, reason in reasons.items() if totals[name])
     names = first_of([f"{name}.mcap" for name in counts])
     return DatasetError(f"no frame can be used: {frames or f'no picture in {names}; look with `bc-log check`'}")
-
-
-def _samples_metadata(
-    config: IndexConfig,
-    logs: Mapping[str, Mapping[str, Any]],
-    labels: Mapping[str, SessionLabels],
-    balance: Balance,
-    counts: Mapping[str, SessionCounts],
-) -> dict[str, Any]:
-    """The metadata of samples: their sources, settings and balance."""
-    return {
-        "settings": asdict(config),
-        "logs": {name: dict(source) for name, source in logs.items()},
-        "labels": {name: asdict(of_session) for name, of_session in labels.items()},
-        "balance": balance.as_dict(),
-        "counts": {name: asdict(count) for name, count in counts.items()},
-    }
 
 
 def _usable_frames(
