@@ -203,22 +203,16 @@ def _notify(text: str) -> None:
 
 def _viewer(config: Drive, writer: LogWriter) -> contextlib.AbstractContextManager[object]:
     """The viewer of a drive, if wanted: a separate process that reads the growing log. The drive gets
-    nothing from it."""
-    target = _viewer_target(config, writer.path)
-    if target is None:
+    nothing from it. Without a display, a notice names the command that shows the log."""
+    target = config.viewer
+    if target == "auto" and not has_display():
+        _notify(f"watch it with `bc-play {shlex.quote(str(writer.path))} --follow`")
+        target = "off"
+    elif target == "auto":
+        target = "window" if sys.platform != "win32" else "off"  # Windows cannot show a growing log
+    if target == "off":
         return contextlib.nullcontext()
     return preview(writer.part, target, overwrite=config.force, idle_priority=True, notify=print_message)
-
-
-def _viewer_target(config: Drive, log: Path) -> str | None:
-    """The target of the viewer; None for no viewer. Without a display, a notice names the command that shows the
-    log."""
-    if config.viewer == "auto" and not has_display():
-        _notify(f"watch it with `bc-play {shlex.quote(str(log))} --follow`")
-        return None
-    if config.viewer == "auto":
-        return "window" if sys.platform != "win32" else None  # Windows cannot show a growing log
-    return None if config.viewer == "off" else config.viewer
 
 
 def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) -> int:
