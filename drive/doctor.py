@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from common.errors import UserError, as_user_error, counted, printable
-from common.files import short_path
 from common.locks import is_being_written
 from model.runs.advice import Advice
 from recorder.log.logs_in_folder import logs_in
@@ -37,21 +36,21 @@ class Diagnosis:
     problems: list[str] = field(default_factory=list)  # files that could not be read
 
 
-def examine(project: Path | str = ".") -> Diagnosis:
-    """Examine the folders sessions, index, runs and drives of a project. The commands are for the project's
-    folder. A file that cannot be read becomes a problem; the others are still examined."""
-    project, diagnosis, wanted = Path(project), Diagnosis(), _Commands()
-    sessions = _logs(project, "sessions", diagnosis, wanted)
-    _index(project, diagnosis, wanted, has_sessions=bool(sessions))
-    _runs(project, diagnosis, wanted, has_sessions=bool(sessions))
-    drives = _logs(project, "drives", diagnosis, wanted)
+def examine() -> Diagnosis:
+    """Examine the folders sessions, index, runs and drives of the project in the working folder. A file that
+    cannot be read becomes a problem; the others are still examined."""
+    diagnosis, wanted = Diagnosis(), _Commands()
+    sessions = _logs("sessions", diagnosis, wanted)
+    _index(diagnosis, wanted, has_sessions=bool(sessions))
+    _runs(diagnosis, wanted, has_sessions=bool(sessions))
+    drives = _logs("drives", diagnosis, wanted)
     if not sessions and not drives:
         wanted.begin.append(Advice("see the whole chain at work", "bc-demo"))
         wanted.begin.append(Advice("the built-in simulator's expert drives", "bc-record lake --track lake"))
         wanted.begin.append(Advice("import a drive from elsewhere", "bc-record mine --from ~/recording"))
     if drives:
         newest = max(drives, key=lambda info: info.start)
-        wanted.last.append(Advice("the newest drive", f"bc-play {_shown(project, Path(newest.path))}"))
+        wanted.last.append(Advice("the newest drive", f"bc-play {shlex.quote(newest.path)}"))
     diagnosis.advice.extend(wanted.first(MAX_COMMANDS))
     return diagnosis
 
@@ -75,9 +74,9 @@ class _Commands:
         return list({advice.command: advice for advice in reversed(ordered)}.values())[::-1][:count]
 
 
-def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Commands) -> list[LogInfo]:
+def _logs(name: str, diagnosis: Diagnosis, wanted: _Commands) -> list[LogInfo]:
     """The readable logs of a folder."""
-    logs = [path for path in logs_in(project / name) if not is_being_written(path)]
+    logs = [path for path in logs_in(Path(name)) if not is_being_written(path)]
     infos: list[LogInfo] = []
     broken: list[Path] = []
     for path in logs:
@@ -87,11 +86,11 @@ def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Commands) -> 
         if info is None or info.notice:
             broken.append(path)
             diagnosis.odd.append(
-                f"{_shown(project, path)}: {'cannot be read' if info is None else 'never finished'}"
+                f"{shlex.quote(str(path))}: {'cannot be read' if info is None else 'never finished'}"
             )
     if broken:
         others = f", and {counted(len(broken) - 1, 'other log')} of {name}" if len(broken) > 1 else ""
-        first = _shown(project, broken[0])
+        first = shlex.quote(str(broken[0]))
         wanted.mend.append(Advice(f"it is damaged, or not finished{others}", f"bc-log recover {first}"))
     if not logs:
         diagnosis.here.append(f"{name}: no logs")
@@ -99,18 +98,18 @@ def _logs(project: Path, name: str, diagnosis: Diagnosis, wanted: _Commands) -> 
     minutes = sum(info.length_s for info in infos) / _S_PER_MIN
     rows = counted(sum(info.rows for info in infos), "row")
     diagnosis.here.append(f"{name}: {counted(len(logs), 'log')}, {rows}, {minutes:,.1f} min")
-    _odd_rows(project, name, infos, diagnosis, wanted)
+    _odd_rows(name, infos, diagnosis, wanted)
     return infos
 
 
-def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: _Commands) -> None:
+def _odd_rows(name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: _Commands) -> None:
     """Add the logs with the most odd rows to the diagnosis, without logs that a person has tagged."""
     odd = sorted(
         (info for info in logs if info.odd and all(tag.name == FINE for tag in info.tags)),
         key=lambda info: -sum(info.odd_rows.values()),
     )
     for info in odd[:_MAX_NAMED]:
-        path = _shown(project, Path(info.path))
+        path = shlex.quote(info.path)
         stretches, rows = info.odd or [], sum(info.odd_rows.values())
         kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
         longest = max(stretches, key=lambda stretch: stretch.last_row - stretch.first_row)
@@ -124,15 +123,15 @@ def _odd_rows(project: Path, name: str, logs: Iterable[LogInfo], diagnosis: Diag
         diagnosis.odd.append(f"and {counted(len(odd) - _MAX_NAMED, 'more log')} in {name}: `bc-log ls {name}`")
 
 
-def _index(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
+def _index(diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
     from dataset import sessions_not_indexed
     from dataset.index.not_learnt import EARLIER_RULES, has_earlier_rules
     from dataset.parquet_file import read_metadata
     from dataset.samples.samples_format import SAMPLES_NAME
 
-    index, sessions = project / "index", project / "sessions"
+    index, sessions = Path("index"), Path("sessions")
     if not (index / SAMPLES_NAME).exists():
-        own = sorted(project.glob(f"index-*/{SAMPLES_NAME}"))  # of `bc-train --on`
+        own = sorted(Path().glob(f"index-*/{SAMPLES_NAME}"))  # of `bc-train --on`
         diagnosis.here.append(
             f"index: {counted(len(own), 'run has its own', 'runs have their own') if own else 'none'}"
         )
@@ -166,13 +165,13 @@ def _index(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessio
         wanted.learn.append(Advice(f"{counted(len(absent), 'session')} not in the index", "bc-index"))
 
 
-def _runs(project: Path, diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
+def _runs(diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
     from dataset.samples.samples_format import SAMPLES_NAME
     from model.runs.run_files import CONFIG, WEIGHTS
     from model.runs.run_summary import judge
 
-    runs = [path.parent for path in (project / "runs").glob(f"*/{CONFIG}")]
-    samples = project / "index" / SAMPLES_NAME
+    runs = [path.parent for path in Path("runs").glob(f"*/{CONFIG}")]
+    samples = Path("index", SAMPLES_NAME)
     if not runs:
         diagnosis.here.append("runs: none")
         if has_sessions:
@@ -200,11 +199,6 @@ def _tried(read: Callable[[], _Result], place: Path, diagnosis: Diagnosis) -> _R
         problem: UserError = as_user_error(place, error)
         diagnosis.problems.append(str(problem))
         return None
-
-
-def _shown(project: Path, path: Path) -> str:
-    """A path as an argument of a command that is typed in the project."""
-    return shlex.quote(str(path.relative_to(project) if path.is_relative_to(project) else short_path(path)))
 
 
 def _number(counts: object, name: str) -> int:
