@@ -73,8 +73,5 @@ class LogPredictions:
 
     def worst_moments(self, run: str) -> list[tuple[int, str]]:
         """Log time in ns and description of the worst moments of a run, the earliest first."""
-        return sorted((worst.log_time_ns, _description(run, worst, self.unit)) for worst in self.worst(run))
-
-
-def _description(run: str, worst: WorstFrame, unit: SteeringUnit) -> str:
-    return f"{run}: {worst.in_words(unit)} (row {worst.row})"
+        worst = self.worst(run)
+        return sorted((at.log_time_ns, f"{run}: {at.in_words(self.unit)} (row {at.row})") for at in worst)
