@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -28,7 +27,6 @@ from model.network.choice import NetworkChoice
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.run_arguments import run_argument
-from model.runs.run_folder import load_weights
 from model.runs.training_progress import Epoch, Step
 from model.training.averaged_weights import AveragedWeights
 from model.training.batches import make_batches
@@ -113,10 +111,6 @@ class TrainingLoop:
             self.network, self.optimizer, machine, config.batch, weights, can_record=network.code is None
         )
         self._saved_s = time.monotonic()
-
-    def start_from(self, init: Path) -> None:
-        """Load the weights of another run of the same network."""
-        load_weights(init, self.network)
 
     def begin(self) -> None:
         """Save the start of a new training, so that a run that is killed early can continue."""

@@ -6,10 +6,9 @@ bc-train --epochs 10
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -21,12 +20,11 @@ from common.interrupts import stop_signals
 from common.location import Location, location
 from common.progress import progress_bar
 from dataset import IndexConfig, Samples
-from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import TARGETS, TargetName
 from model.config import TrainConfig
 from model.device import choose_machine
 from model.errors import RunError
-from model.network.choice import NetworkChoice, choose_network, chosen_picture
+from model.network.choice import choose_network, chosen_picture
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.network_of_run import choice_of
 from model.runs.provenance import init_provenance, provenance
@@ -35,6 +33,7 @@ from model.runs.run_folder import (
     create_run,
     has_nothing_saved,
     load_config,
+    load_weights,
     picture_of_run,
     refuse_existing_run,
     removed_unless_saved,
@@ -133,14 +132,16 @@ def train(
             begins = True
             if init is not None:
                 origin["init"] = init_provenance(init, run)
-            stack.enter_context(_new_run(writer, origin, network, picture))
+            create_run(run, origin, picture, b"" if network.code is None else network.code.source)
+            stack.enter_context(removed_unless_saved(run, lambda: writer.has_saved))
+            stack.enter_context(locked_for_training(run))
         remember_inputs(run, samples, init)
         loop = TrainingLoop(samples, writer, config, network, picture, machine, guarded, bar)
         notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)
         if begins:
             if init is not None:
-                loop.start_from(init)
+                load_weights(init, loop.network)
             if resume:
                 loop.cut_history()
                 write_config(run, {**stored, **origin})
@@ -155,15 +156,6 @@ def train(
         return Trained(
             run, loop.history, loop.skipped, notices, remarks, loop.position.best_epoch, loop.is_stopped_early
         )
-
-
-@contextlib.contextmanager
-def _new_run(
-    writer: RunWriter, config: dict[str, Any], network: NetworkChoice, picture: PictureSpec
-) -> Iterator[None]:
-    create_run(writer.run, config, picture, b"" if network.code is None else network.code.source)
-    with removed_unless_saved(writer.run, lambda: writer.has_saved), locked_for_training(writer.run):
-        yield
 
 
 def _target_notices(samples: Samples, targets: Sequence[TargetName]) -> list[str]:
