@@ -54,11 +54,6 @@ def balance(
     return Balanced(np.concatenate(chosen), np.concatenate(is_copy), target, short)
 
 
-def unbalanced(count: int) -> Balanced:
-    """Use each of `count` candidates once."""
-    return Balanced(np.arange(count), np.zeros(count, np.bool_), 0, {})
-
-
 def _target(counts: NDArray[np.int64], per_bin: PerBin) -> int:
     if per_bin == "mean":
         return round(float(counts.mean()))

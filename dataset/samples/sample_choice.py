@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset.config import IndexConfig
-from dataset.samples.balance import balance, unbalanced
+from dataset.samples.balance import Balanced, balance
 from dataset.samples.samples_format import Balance
 from dataset.steering_bins import bin_of
 
@@ -40,7 +40,7 @@ def choose_samples(
     if config.balance:
         balanced = balance(bins[training], config.bins, config.max_uses, random, config.per_bin)
     else:
-        balanced = unbalanced(len(training))
+        balanced = Balanced(np.arange(len(training)), np.zeros(len(training), np.bool_), 0, {})
     before = np.bincount(bins[training], minlength=config.bins)
     candidate = training[balanced.chosen]
     after = np.bincount(bins[candidate], minlength=config.bins)
