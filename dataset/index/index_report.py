@@ -19,17 +19,14 @@ from recorder.rows.steering_report import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # a line of the table then fits 80 columns
 MAX_BINS = 101  # with more bins, no line for each bin is printed
+_RARE = ("not_taken_over", "unlabelled", "not_driven")  # counts with a column only if there are any
 
 
 def sessions_table(indexed: Indexed) -> Table:
-    """The number of frames of each session by their use. Frames not taken over, without a label, or not driven
-    have a column only if there are any."""
-    has_piloted = any(counts.not_taken_over for counts in indexed.counts.values())
-    has_unlabelled = any(counts.unlabelled for counts in indexed.counts.values())
-    has_odd = any(counts.not_driven for counts in indexed.counts.values())
-    columns = ["frames", "training", "validation", "gap", "left out"]
-    columns += [COUNT_HEADINGS["not_taken_over"]] * has_piloted + [COUNT_HEADINGS["unlabelled"]] * has_unlabelled
-    columns += ["not driven"] * has_odd
+    """The number of frames of each session by their use."""
+    rare = [name for name in _RARE if any(getattr(counts, name) for counts in indexed.counts.values())]
+    headings = COUNT_HEADINGS | {"not_driven": "not driven"}
+    columns = ["frames", "training", "validation", "gap", "left out", *(headings[name] for name in rare)]
     # a narrow table, so that the names of sessions fit 80 columns
     table = Table(
         box=None, pad_edge=False, collapse_padding=True, title="frames, one for each picture", title_justify="left"
@@ -42,8 +39,7 @@ def sessions_table(indexed: Indexed) -> Table:
         counts = indexed.counts[session]
         left_out = counts.excluded + counts.unusable + counts.not_asked_for
         numbers = [counts.frames, counts.training, counts.validation, counts.gap, left_out]
-        numbers += [counts.not_taken_over] * has_piloted + [counts.unlabelled] * has_unlabelled
-        numbers += [counts.not_driven] * has_odd
+        numbers += [getattr(counts, name) for name in rare]
         state = "read" if session in indexed.read else "unchanged"
         table.add_row(escape(session), *(f"{number:,}" for number in numbers), state)
     return table
