@@ -120,17 +120,12 @@ def refuse_empty_flags(config: Any) -> None:
     empty = {flag for flag, word in itertools.pairwise([*tokens, "--"]) if flag[:2] == word[:2] == "--"}
     if not empty:  # the usual case: types take a millisecond
         return
-    for name, metavar in _flags_of_words(_of_command_line(config)):
-        if name in empty:
-            raise UsageError(f"{name}: expected {metavar} after it")
-
-
-def _flags_of_words(config: Any) -> Iterator[tuple[str, str]]:
-    """The names and metavars of the flags that need a word or several, and have none by default."""
-    for flag, notes in _flags_of(config):
+    for flag, notes in _flags_of(_of_command_line(config)):
+        name = f"--{flag.name.replace('_', '-')}"
         metavar = next((note.metavar for note in notes if getattr(note, "metavar", None)), "[")
-        if flag.default == () and not metavar.startswith("[") and tyro.conf.Positional not in notes:
-            yield f"--{flag.name.replace('_', '-')}", metavar
+        needs_words = flag.default == () and not metavar.startswith("[") and tyro.conf.Positional not in notes
+        if needs_words and name in empty:
+            raise UsageError(f"{name}: expected {metavar} after it")
 
 
 def _flags_of(config: Any) -> Iterator[tuple[dataclasses.Field[Any], tuple[Any, ...]]]:
