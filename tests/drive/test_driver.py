@@ -551,16 +551,6 @@ def test_the_set_speed_is_lowered_in_curves_if_asked_for(half_right: Pilot) -> N
     assert slowed.throttle < 0 < unhindered.throttle == straight.throttle
 
 
-def test_what_a_curve_takes_off_is_not_missing_on_the_straight_behind_it() -> None:
-    config = DriveConfig(set_speed_mph=25.0, slow_in_curves=True)
-    network = say(SmallNetwork(), 0.5)
-    driver, data = Driver(Pilot(network), config), message(speed_mph=20.0)
-    for k in range(20):
-        drive(driver, data, k / 10)
-    say(network, 0.0)
-    assert drive(driver, data, 2.0).throttle == drive(Driver(pilot_that_says(0.0), config), data).throttle
-
-
 # Who drives
 
 
