@@ -132,15 +132,6 @@ def test_a_simulated_clock_that_jumps_adds_no_years_and_no_distance() -> None:
     assert summary.distance_m < 10
 
 
-def test_a_simulated_clock_counts_and_not_ours() -> None:
-    summary = DriveSummary()
-    for i in range(51):  # two seconds at 25 a second, however long they took
-        summary.decision(decided(world=replace(WORLD, time_s=i / 25, laps=i / 1000)), 2.0, now_s=1000 + i * 0.7)
-    assert summary.elapsed_s == pytest.approx(2.0)
-    assert summary.distance_m == pytest.approx(10 * MPH * 2)
-    assert summary.laps == pytest.approx(0.05)
-
-
 @pytest.mark.parametrize("step_s", [0.0, -1.0])
 def test_a_simulated_clock_that_does_not_advance_is_not_used(step_s: float) -> None:
     summary = DriveSummary()
