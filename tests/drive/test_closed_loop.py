@@ -136,14 +136,6 @@ def test_an_unknown_track_ends_every_command_with_one_code_and_a_guess(
     assert f"{arguments[-1]} lkae: no such track; did you mean lake?" in one_line_in(capsys)
 
 
-@pytest.mark.parametrize("flags", [("--rate", "7"), ("--laps", "nan")])
-def test_a_drive_of_bc_sim_that_cannot_be_is_one_line(
-    flags: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(sim_main, *flags, "--port", 1, "--wait", 0) == 2
-    assert flags[0] in one_line_in(capsys)
-
-
 @pytest.mark.parametrize(
     "flag",
     [

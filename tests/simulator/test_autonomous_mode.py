@@ -234,6 +234,8 @@ def test_bc_sim_tells_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFix
         (("--tell-world", "--expert-speed", "nan"), "--expert-speed nan"),
         (("--tell-world", "--replay", "."), "--tell-world"),
         (("--start", "-1"), "--start -1"),
+        (("--rate", "7"), "--rate 7"),
+        (("--laps", "nan"), "--laps nan"),
         (("--port", "99999"), "--port 99999"),
         (("--wait", "nan"), "--wait nan"),
         (("--replay", ".", "--count", "0"), "--count 0"),
