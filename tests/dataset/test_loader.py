@@ -114,6 +114,17 @@ def test_an_epoch_is_every_sample_once_each_as_the_index_says(index: Path, place
         assert (picture == shown(index, expected[at])).all()
 
 
+def test_the_order_is_a_function_of_seed_and_epoch(index: Path) -> None:
+    def order(seed: int, epoch: int) -> tuple[int, ...]:
+        with load(index, seed=seed) as loader:
+            return tuple(loader.order(epoch).tolist())
+
+    with load(index, seed=5) as used:
+        list(used.epoch(0))
+        assert tuple(used.order(3).tolist()) == order(5, 3)
+    assert len({order(seed, epoch) for seed in (0, 5) for epoch in (0, 1, 2)}) == 6
+
+
 def test_an_epoch_goes_on_from_any_batch(index: Path) -> None:
     with load(index, batch=BATCH) as loader:
         whole = [content(batch) for batch in loader.epoch(1)]

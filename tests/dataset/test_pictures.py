@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from common.car import CAMERAS, Camera
-from dataset import IndexConfig, Loader, Samples, build_index, decode, preprocess
+from dataset import decode, preprocess
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from logs import write_log
-from udacity import encode, jpeg
+from udacity import encode
 
 
 def black() -> Image:
@@ -77,46 +72,6 @@ def test_a_larger_picture_shows_the_same_part_of_the_world() -> None:
 def test_what_is_no_picture_is_a_value_error(data: bytes) -> None:
     with pytest.raises(ValueError, match="picture"):
         decode(data)
-
-
-# The loader
-
-STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
-
-
-def level(camera: Camera, row: int) -> int:
-    return 20 + 3 * (3 * row + CAMERAS.index(camera))
-
-
-def grey(camera: Camera, row: int) -> bytes:
-    """A picture whose brightness says which row and camera it is of."""
-    return jpeg(level(camera, row))
-
-
-@pytest.fixture(scope="module")
-def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("index")
-    log = write_log(folder / "a.mcap", STEERING, grey)
-    return build_index([log], folder / "index", IndexConfig(block_s=0.5, gap_s=0, alter=())).path
-
-
-@pytest.fixture
-def samples(index: Path) -> Iterator[Samples]:
-    opened = Samples(index)
-    yield opened
-    opened.close()
-
-
-def test_the_order_is_a_function_of_seed_and_epoch(samples: Samples) -> None:
-    def order(seed: int, epoch: int) -> list[int]:
-        numbers: list[int] = Loader(samples, samples.table, batch=7, seed=seed).order(epoch).tolist()
-        return numbers
-
-    used = Loader(samples, samples.table, batch=7, seed=5)
-    list(used.epoch(0))
-    assert used.order(3).tolist() == order(5, 3)
-    assert len({tuple(order(seed, epoch)) for seed in (0, 5) for epoch in (0, 1, 2)}) == 6
-    assert sorted(order(5, 3)) == list(range(len(samples.table)))
 
 
 def test_a_header_that_promises_too_many_pixels_is_no_picture() -> None:
