@@ -102,25 +102,6 @@ def test_nothing_to_balance_is_nothing() -> None:
 # Samples
 
 
-def test_only_the_training_split_is_balanced(tmp_path: Path) -> None:
-    indexed = index_of(tmp_path, a=STEERING)
-    samples = rows_of(indexed.path / "samples.parquet")
-    counts = Counter(row["bin"] for row in samples if row["split"] == "train")
-    originals = Counter(
-        (flip, camera, frame["row"])
-        for frame in rows_of(indexed.path / "frames" / "a.parquet")
-        if frame["split"] == "validation"
-        for camera in [frame["camera"]]
-        for flip in (False, True)
-    )
-    held_out = [row for row in samples if row["split"] == "validation"]
-    assert Counter((row["flip"], row["camera"], row["row"]) for row in held_out) == originals
-    assert not any(row["copy"] or row["alteration"] for row in held_out)
-    per_bin = indexed.balance.per_bin
-    assert {i: per_bin - count for i, count in counts.items() if count != per_bin} == indexed.balance.short
-    assert sum(counts.values()) == indexed.balance.after.sum()
-
-
 def test_a_bin_that_the_cap_leaves_short_is_reported(tmp_path: Path) -> None:
     config = IndexConfig(max_uses=3, cameras=("center",), flip=False, validation_share=0.0)
     indexed = index_of(tmp_path, config, a=[0.0] * 98 + [0.5] * 2)
@@ -153,19 +134,6 @@ def test_steering_out_of_range_is_flagged_and_left_out(tmp_path: Path) -> None:
 
 
 # Splits
-
-
-def test_no_picture_sibling_mirror_image_or_copy_is_on_both_sides(tmp_path: Path) -> None:
-    samples = index_of(tmp_path, a=STEERING, b=STEERING[::-1]).samples.to_pylist()
-    sides = {
-        split: {(row["session"], row["row"]) for row in samples if row["split"] == split}
-        for split in ("train", "validation")
-    }
-    assert len(sides["validation"]) > 60
-    assert sides["train"].isdisjoint(sides["validation"])
-    assert len({(row["session"], row["offset"], row["split"]) for row in samples}) == len(
-        {(row["session"], row["offset"]) for row in samples}
-    )
 
 
 def test_the_split_is_by_blocks_of_time(tmp_path: Path) -> None:

@@ -105,13 +105,20 @@ def test_whatever_is_driven_the_samples_keep_their_promises(
     assert all(len(split) == 1 for split in split_of_row.values())
     assert max(uses.values()) <= config.max_uses
     assert all(count == 1 or by_place[key[:3]]["split"] == "train" for key, count in uses.items())
-    assert {key[3] for key in uses} <= ({False, True} if config.flip else {False})
-    # every bin of the training split has what was promised
-    wanted = [
-        frame
-        for frame in frames
-        if frame["camera"] in config.cameras and frame["split"] == "train" and abs(frame["steering"]) <= 1
+    flips = {False, True} if config.flip else {False}
+    assert {key[3] for key in uses} <= flips
+    # validation has every picture, and its mirror image
+    usable_frames = [
+        frame for frame in frames if frame["camera"] in config.cameras and abs(frame["steering"]) <= 1
     ]
+    assert {key for key in uses if by_place[key[:3]]["split"] == "validation"} == {
+        (frame["session"], frame["row"], frame["camera"], flip)
+        for frame in usable_frames
+        if frame["split"] == "validation"
+        for flip in flips
+    }
+    # every bin of the training split has what was promised
+    wanted = [frame for frame in usable_frames if frame["split"] == "train"]
     labels = np.clip([frame["steering"] + correction[frame["camera"]] for frame in wanted], -1.0, 1.0) + 0.0
     candidates = Counter(bin_of(labels, config.bins).tolist())
     if config.flip:
