@@ -203,22 +203,6 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         assert car_in(log.metadata, log.path) == BUILT_IN  # where its cameras stand, and how it turns
 
 
-@pytest.mark.parametrize(
-    ("flags", "says"),
-    [
-        (("--simulator",), "--simulator"),
-        (("--simulator", "lake", "lake"), "--simulator lake lake: "),
-        (("--simulator", "lake", "--laps", "0"), "--laps 0: "),
-        (("--simulator", "lake", "--speed", "nan"), "--speed nan: "),
-    ],
-)
-def test_an_evaluation_of_nothing_is_one_line(
-    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], says: str
-) -> None:
-    assert call(eval_main, pilot_run, *flags, "--drives", tmp_path / "logs") == 2
-    assert says in one_line_in(capsys)
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
 @pytest.mark.parametrize("main", [drive_main, eval_main])
 def test_a_gpu_that_is_not_there_is_one_line(
@@ -228,11 +212,6 @@ def test_a_gpu_that_is_not_there_is_one_line(
     assert call(main, pilot_run, *flags) == 1
     assert "--device cuda: PyTorch finds no GPU; give --device cpu" in one_line_in(capsys)
     assert not (tmp_path / "logs").exists()
-
-
-def test_the_device_is_that_of_drives_only(pilot_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(eval_main, pilot_run, "--device", "cpu") == 2
-    assert "--device: only with --simulator TRACK" in one_line_in(capsys)
 
 
 def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_run: Path, tmp_path: Path) -> None:

@@ -645,7 +645,11 @@ def test_an_index_of_somebody_else_is_damaged_in_one_line(cwd: Path, tmp_path: P
     [
         (["--speed", 20, "--force"], "--speed, --force: only with --simulator"),
         (["--simulator", "lake", "--session", "a", "--worst", 3], "--session, --worst: only for recorded frames"),
+        (["--device", "cpu"], "--device: only with --simulator TRACK"),
         (["--simulator"], "--simulator at least one"),
+        (["--simulator", "lake", "lake"], "--simulator lake lake: "),
+        (["--simulator", "lake", "--laps", 0], "--laps 0: "),
+        (["--simulator", "lake", "--speed", "nan"], "--speed nan: "),
         (["--session"], "--session at least one"),
         (["--session", "a", "--split", "train"], "leave out --index and --split"),
         (["--worst", -1], "--worst -1"),
