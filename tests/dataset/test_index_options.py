@@ -1,4 +1,4 @@
-"""How an index is made: the count of the bins, conditions in SQL, the leak check, and what is not done twice."""
+"""How an index is made: conditions in SQL, the leak check, and what is not done twice."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import signal
 import sys
 import threading
 import time
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -30,22 +29,6 @@ from recorder.upkeep.edit import merge
 from udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
-
-
-# Balance
-
-
-def test_without_balance_every_frame_is_a_sample_once(tmp_path: Path) -> None:
-    indexed = build_index(
-        [write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index", IndexConfig(balance=False, flip=False)
-    )
-    used = Counter((row["row"], row["camera"]) for row in indexed.samples.to_pylist())
-    split = {row["row"]: row["split"] for row in indexed.frames.to_pylist()}
-    assert used == {
-        (row, camera): 1 for row in range(300) for camera in ("center", "left", "right") if split[row] != "gap"
-    }
-    assert not any(indexed.samples["copy"].to_pylist())
-    assert indexed.balance.before.tolist() == indexed.balance.after.tolist()
 
 
 # Questions
