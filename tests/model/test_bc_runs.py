@@ -20,6 +20,11 @@ from toy import STEERING, road
 from udacity import call
 
 
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+
+
 def drive(track: str, interventions: int, speed_mph: float = 10.0) -> dict[str, Any]:
     return {"track": track, "set_speed_mph": speed_mph, "interventions": interventions, "distance_m": 500.0}
 
@@ -30,10 +35,7 @@ def listed(capsys: pytest.CaptureFixture[str], runs: Path, *flags: str) -> list[
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-def test_runs_stand_beside_one_another(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
+def test_runs_stand_beside_one_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keep_result(a_run(tmp_path, "first"), "simulator", drive("lake", 2))
     assert call(bc_runs, "--runs", tmp_path) == 0
     header, row = (line.split() for line in capsys.readouterr().out.splitlines()[-2:])
@@ -44,9 +46,8 @@ def test_runs_stand_beside_one_another(
 
 
 def test_the_words_of_the_verdict_are_explained_where_they_are_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
     blind = a_run(tmp_path, "blind") / "metrics.jsonl"
     blind.write_text(json.dumps(epoch_line(1, frames=0)) + "\n")
     assert call(bc_runs, "--runs", tmp_path) == 0
@@ -64,9 +65,8 @@ def test_the_words_of_the_verdict_are_explained_where_they_are_shown(
 
 
 def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
     (a_run(tmp_path, "first") / "metrics.jsonl").unlink()
     assert call(bc_runs, "--runs", tmp_path) == 0
     assert "people 0 of 3 - -" in " ".join(capsys.readouterr().out.split())
@@ -96,9 +96,8 @@ def test_runs_are_ordered_by_supervised_drives_where_nothing_else_drove(
 
 
 def test_a_run_says_what_network_it_is_and_what_it_answers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
     run = a_run(tmp_path, "quick")
     config = json.loads((run / "config.json").read_text())
     config |= {"network": {"name": "small"}, "targets": ["steering", "speed"]}
@@ -168,11 +167,8 @@ def test_the_last_drive_of_each_track_and_speed_counts(tmp_path: Path, capsys: p
     assert [kept["result"]["interventions"] for kept in shown["results"]] == [1, 3, 0]
 
 
-def test_part_of_a_lap_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_part_of_a_lap_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """No intervention in 30 m is no lap without one."""
-    monkeypatch.setenv("COLUMNS", "120")
     run = a_run(tmp_path, "first")
     keep_result(run, "simulator", drive("lake", 0) | {"laps": 0.0302})
     keep_result(run, "simulator", drive("mountain", 0) | {"laps": 1.0004})
