@@ -12,6 +12,7 @@ from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.log_cli import main as bc_log
+from simulator.cli import main as bc_sim
 from udacity import call
 from viz.cli import main as bc_play
 
@@ -21,6 +22,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
 @pytest.mark.parametrize(
     ("command", "flags", "expected"),
     [
+        # of another kind than the flag takes
         (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
         (bc_train, ["--on"], "bc-train: --on: expected SESSION [SESSION ...] after it"),
         (bc_train, ["--init", "a", "--takeovers", "--name", "b"], "bc-train: --takeovers: expected LOG [LOG ...]"),
@@ -32,18 +34,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
         (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
         (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
-    ],
-)
-def test_what_a_flag_takes_is_said_in_words(
-    command: Callable[[], None], flags: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(command, *flags) == 2
-    assert one_line_in(capsys).startswith(expected)
-
-
-@pytest.mark.parametrize(
-    ("command", "flags", "expected"),
-    [
+        # mistyped or missing
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
         (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
@@ -78,9 +69,31 @@ def test_what_a_flag_takes_is_said_in_words(
         (bc_log, ["ls", "a", "--json=1"], "bc-log: --json=1: --json takes no value; `bc-log ls --help-all`"),
         (bc_record, ["--laps", "1"], "bc-record: NAME is missing"),
         (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help-all` has all flags"),
+        # a speed or a number of laps that is a slip of the finger
+        (
+            bc_record,
+            ["fast", "--speed", "500"],
+            "bc-record: --speed 500: expected a set speed above 0 mph and up to 100 (the car reaches",
+        ),
+        (
+            bc_record,
+            ["long", "--laps", "1000000"],
+            "bc-record: --laps 1e+06: expected a number above 0 and up to 1,000 (a lap takes some",
+        ),
+        (
+            bc_record,
+            ["me", "--driver", "me", "--speed", "500"],
+            "bc-record: --speed: with --driver me, give the one speed that",
+        ),
+        (bc_sim, ["--laps", "1000000"], "bc-sim: --laps 1e+06: give a number above 0 and up to 1,000"),
+        (
+            bc_sim,
+            ["--expert-speed", "500"],
+            "bc-sim: --expert-speed 500: give a set speed above 0 mph and up to 100",
+        ),
     ],
 )
-def test_what_is_mistyped_or_missing_is_named(
+def test_what_is_wrong_and_what_was_expected_is_said_in_words(
     command: Callable[[], None], flags: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(command, *flags) == 2
