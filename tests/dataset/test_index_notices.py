@@ -127,12 +127,6 @@ def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFi
         assert "pictures of different sizes: 320 x 160 px in lake, mountain; 160 x 120 px in tub." in said
 
 
-def test_a_flag_that_cannot_be_is_named_as_it_was_typed(capsys: pytest.CaptureFixture[str]) -> None:
-    log_of("lake")
-    assert call(main, "--max-uses", 0) == 2
-    assert "--max-uses 0: expected at least 1" in " ".join(capsys.readouterr().err.split())
-
-
 def test_paths_may_be_text() -> None:
     log_of("lake")
     indexed = build_index(["sessions/lake.mcap"], "index")

@@ -31,10 +31,3 @@ def test_pictures_of_odd_shapes_do_not_stop_an_index(flags: list[str], sessions:
         write_drive(sessions / f"{width}x{height}.mcap", [encode(np.full((height, width), 90, np.uint8))] * ROWS)
     assert call(main, *flags) == 0
     assert indexed_sessions() == {"lake", "320x4", "1x1", "1x60000", "60000x1"}
-
-
-def test_a_log_that_is_a_link_to_itself_is_left_out(sessions: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (sessions / "loop.mcap").symlink_to("loop.mcap")
-    assert call(main) == 3
-    assert "loop.mcap: cannot be opened" in capsys.readouterr().err
-    assert indexed_sessions() == {"lake"}

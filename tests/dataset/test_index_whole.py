@@ -192,14 +192,15 @@ def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
     sessions = cwd / "sessions"
     damaged(sessions / "flipped.mcap")
     unreadable(sessions / "folder.mcap")
+    (sessions / "loop.mcap").symlink_to("loop.mcap")
     write_log(sessions / "lake.mcap", STEERING, lambda camera, row: jpeg(60 + row))
     shutil.copy(sessions / "lake.mcap", sessions / os.fsdecode(b"caf\xe9.mcap"))
     for flags in ([], ["--look"]):
         assert call(main, *flags) == 3
         said = capsys.readouterr().err
-        for named in ("flipped.mcap: damaged", "folder.mcap", "needs a name"):
+        for named in ("flipped.mcap: damaged", "folder.mcap", "loop.mcap: cannot be opened", "needs a name"):
             assert named in said
-        assert said.count("left out") == 3
+        assert said.count("left out") == 4
         assert sessions_of(cwd / "index") == ({"lake"}, {"lake"})
     assert call(main, "flipped", "lake") == 1
 
@@ -381,6 +382,7 @@ def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
         (["--validation", "nobody"], "--validation nobody: no such session"),
         (["--validation", "a", "--validation-share", "0"], "--validation-share: not with --validation"),
         (["--validation", "a", "--gap-s", "5"], "--gap-s: not with --validation"),
+        (["--max-uses", "0"], "--max-uses 0: expected at least 1"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(
