@@ -806,10 +806,6 @@ def send_broken_packet(port: int) -> list[str]:
     return received
 
 
-def websocket_of(port: int) -> str:
-    return f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
-
-
 def test_each_stranger_is_a_line_and_simulators_are_driven_on(pilot_run: Path, tmp_path: Path) -> None:
     """A page in the user's browser can reach this machine's ports; its requests carry where it comes from."""
     log = tmp_path / "run.mcap"
@@ -819,9 +815,10 @@ def test_each_stranger_is_a_line_and_simulators_are_driven_on(pilot_run: Path, t
 
     with DriveProcess(pilot_run, log) as process:
         port = process.wait_until_it_listens()
+        url = f"ws://127.0.0.1:{port}/socket.io/?EIO=4&transport=websocket"
         with pytest.raises(websocket.WebSocketBadStatusException):
-            websocket.create_connection(websocket_of(port), timeout=PATIENCE_S, origin="http://elsewhere.example")
-        websocket.create_connection(websocket_of(port), timeout=PATIENCE_S, suppress_origin=True).close()
+            websocket.create_connection(url, timeout=PATIENCE_S, origin="http://elsewhere.example")
+        websocket.create_connection(url, timeout=PATIENCE_S, suppress_origin=True).close()
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=PATIENCE_S) as page:
             assert "simulator" in page.read().decode()
         for times in (1, 2):
