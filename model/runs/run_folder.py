@@ -31,7 +31,6 @@ from common.untrusted import real_path
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
 from model.errors import RunError
-from model.network.choice import NetworkChoice
 from model.network.names import BUILT_IN, check_network_name, is_own
 from model.network.own_code import load_code
 from model.network.picture_network import PictureNetwork
@@ -216,11 +215,6 @@ def speed_ahead_s_of_run(folder: Path) -> float:
     return speed_ahead_s_in(data.get("settings")) if isinstance(data, dict) else 0.0
 
 
-def choice_of_run(folder: Path) -> NetworkChoice:
-    """The run's network, ready to build. Raises RunError as `load_config` and `choice_of` do."""
-    return choice_of(load_config(folder), config_folder(folder))
-
-
 def load_named(names: Sequence[str | None], runs: Sequence[Path]) -> None:
     """Run the code of the networks that a user has named for `runs`; skip None.
 
@@ -244,7 +238,7 @@ def load_named(names: Sequence[str | None], runs: Sequence[Path]) -> None:
 def load_network(folder: Path) -> PictureNetwork:
     """The run's network, ready to predict. Raises RunError if the weights are damaged or of another shape, or if
     the network is a user's own and was not named, or does not work on this machine."""
-    choice = choice_of_run(folder)
+    choice = choice_of(load_config(folder), config_folder(folder))
     network = choice.build()
     answers = load_weights(folder, network)
     if choice.code is not None:
