@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.tags import EXCLUDE
-from recorder.rows.row_quality import NOT_LEARNT, ROW_FLAGS, RowFlag, States, row_flags
+from recorder.rows.row_quality import ROW_FLAGS, RowFlag, States, row_flags
 from recorder.rows.steering_habits import LagFinding
 
 PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture", "steering_against_pictures"]
@@ -113,11 +113,6 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
     np.cumsum(np.bincount(frame, minlength=frames), out=offsets[1:])
     names: Any = pa.DictionaryArray.from_arrays(name, pa.array(flags, pa.string()))
     return pa.ListArray.from_arrays(offsets, names.cast(pa.string()))
-
-
-def is_not_driving(frames: pa.Table) -> NDArray[np.bool_]:
-    """A mask of the frames with a flag of `NOT_LEARNT`: crashes, driving backwards, manoeuvres, a parked car."""
-    return lists_with(frames["flags"], *NOT_LEARNT)
 
 
 def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from common.car import SPEED_RANGE_MPH
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.drivers import DRIVERS
-from dataset.frames.frame_flags import is_excluded, is_not_driving, is_unusable
+from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
 from dataset.frames.frames_file import SPLITS, codes
 from recorder.rows.label_plan import LabelPlan
-from recorder.rows.row_quality import GAP_S
+from recorder.rows.row_quality import GAP_S, NOT_LEARNT
 
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, so that stretches do not influence each other."""
@@ -72,7 +72,7 @@ def _is_good(frames: pa.Table) -> NDArray[np.bool_]:
 
 
 def _is_odd(frames: pa.Table, plan: LabelPlan) -> NDArray[np.bool_]:
-    return is_not_driving(frames) & plan.without_crashes
+    return lists_with(frames["flags"], *NOT_LEARNT) & plan.without_crashes
 
 
 def _side(frames: pa.Table, is_odd: NDArray[np.bool_]) -> NDArray[np.int8]:
