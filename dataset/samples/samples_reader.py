@@ -44,11 +44,6 @@ FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
 
 _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offset", "chunk")))
 
-
-def loaded_columns(targets: Sequence[TargetName] = STEERING_ONLY) -> tuple[str, ...]:
-    return (*LOADED, *(TARGETS[name].label_column for name in targets if name not in STEERING_ONLY))
-
-
 _WORDS: Final = ("session", "camera", "alteration", "split")  # few distinct words: read as dictionaries
 
 _MAX_BYTES: Final = 1 << 34
@@ -127,7 +122,8 @@ class Samples(Closeable):
 
     def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
         """The samples of a split as arrays."""
-        return self.rows(self.of_split(split, loaded_columns(targets)), targets)
+        labels = (TARGETS[name].label_column for name in targets if name not in STEERING_ONLY)
+        return self.rows(self.of_split(split, (*LOADED, *labels)), targets)
 
     def driving_view(self, split: Split) -> pa.Table:
         """The samples as the car sees them: the centre camera, not mirrored, not altered, each picture once.
