@@ -93,12 +93,6 @@ def test_all_of_version_0_3_are_those_it_had(index: Path, whole: Path, tmp_path:
     assert settings.light == "as-seen"
 
 
-@pytest.mark.parametrize("names", [("all", "move"), ("none", "move"), ("move", "move")])
-def test_a_contradiction_names_the_flag(names: tuple[Any, ...]) -> None:
-    with pytest.raises(ValueError, match=r"^--alter-each-epoch \w+ move: "):
-        TrainConfig(alter_each_epoch=names)
-
-
 def test_a_run_of_an_unknown_alteration_is_refused(index: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     train(index, run, replace(CONFIG, epochs=1))

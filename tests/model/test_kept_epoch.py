@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from model import Epoch, TrainConfig, train
+from model import Epoch, train
 from model.cli import main
 from model.config import Keep
 from toy import SMALL
@@ -38,11 +38,6 @@ def test_the_epoch_that_is_kept_has_the_least_of_what_was_asked_for(
         error(epoch) < min((error(before) for before in trained.epochs[:number]), default=1e9)
         for number, epoch in enumerate(trained.epochs)
     ]
-
-
-def test_the_last_epoch_and_patience_do_not_go_together() -> None:
-    with pytest.raises(ValueError, match="--patience 3: not with --keep last"):
-        TrainConfig(keep="last", patience=3)
 
 
 @pytest.mark.parametrize(("keep", "marked"), [("last", 0), ("driving-error", 1)])

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from common.car import Camera
-from driving import one_line_in, road_jpeg
+from driving import road_jpeg
 from logs import START_NS, STEP_NS, write_log
 from model.cli import main
 from recorder.bc_pb2 import PilotCommand, VehicleState
@@ -84,20 +84,6 @@ def test_a_drive_without_a_takeover_teaches_nothing(project: Path, capsys: pytes
     assert f"{drive}: no frame of a takeover to learn from" in capsys.readouterr().err
     assert not Path("index-second").exists()
     assert not Path("runs/second").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("--takeovers", "drives/run.mcap"), "--init RUN"),
-        (("--init", "first", "--on", "lake", "--takeovers", "drives/run.mcap"), "give one of them"),
-    ],
-)
-def test_flags_that_contradict_each_other_are_refused(
-    project: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], expected: str
-) -> None:
-    assert call(main, *words) == 2
-    assert expected in one_line_in(capsys)
 
 
 def test_an_index_that_is_there_is_not_written_over(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -197,6 +197,12 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
         (["--rate", 0], "--rate 0: expected a number above 0"),
         (["--rate", "nan"], "--rate nan: expected a number above 0"),
         (["--dropout", 1], "--dropout 1: expected a number from 0 to 1"),
+        (["--keep", "last", "--patience", 3], "--patience 3: not with --keep last"),
+        (["--alter-each-epoch", "all", "move"], "--alter-each-epoch all move: expected each once"),
+        (["--alter-each-epoch", "none", "move"], "--alter-each-epoch none move: expected each once"),
+        (["--alter-each-epoch", "move", "move"], "--alter-each-epoch move move: expected each once"),
+        (["--takeovers", "drives/run.mcap"], "--takeovers continues a run: give it with --init RUN"),
+        (["--init", "first", "--on", "lake", "--takeovers", "a.mcap"], "--on, --takeovers: give one of them"),
         (["--name", "a/b"], "--name 'a/b': expected a plain name"),
         (["--name=-x"], "--name '-x': expected a plain name"),  # `bc-drive -x` would take it for a flag
     ],
