@@ -34,6 +34,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
         (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
         (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
+        (bc_index, ["--recipe", "secret"], "bc-index: --recipe secret: expected one of original, people"),
         # mistyped or missing
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
         (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),

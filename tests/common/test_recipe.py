@@ -66,11 +66,6 @@ def test_a_run_is_repeated_by_its_own_recipe_alone(tmp_path: Path, capsys: pytes
     assert config["training"]["recipe"] == "original"
 
 
-def test_an_unknown_recipe_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_index, "--recipe", "secret") == 2
-    assert "people" in capsys.readouterr().err
-
-
 def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_index(tmp_path)
     flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]
