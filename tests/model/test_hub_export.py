@@ -237,13 +237,14 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ((), "--onnx"),
+        ((), "give one of --onnx for a file, "),
+        (("--onnx", "a", "b"), "--onnx a b: expected [FILE]"),
         (("--onnx", "--hub", "a"), "--hub FOLDER"),
         (("--onnx", "--license", "mit"), "--license is only"),
         (("--hub", "a", "--force"), "--force is only"),
     ],
 )
-def test_flags_that_do_not_go_together(
+def test_flags_of_an_export_that_do_not_go_together(
     trained: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], said: str
 ) -> None:
     assert call(main, "export", trained, *flags) == 2

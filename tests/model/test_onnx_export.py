@@ -222,13 +222,6 @@ def test_a_file_is_replaced_only_if_that_is_asked_for(
     assert mine.read_bytes() == exported.read_bytes()
 
 
-def test_bad_usage(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(main, "export", trained) == 2
-    assert "--onnx" in capsys.readouterr().err
-    assert call(main, "export", trained, "--onnx", "a", "b") == 2
-    assert sorted(path.name for path in trained.iterdir()) == ["config.json", "model.safetensors"]
-
-
 def test_a_run_of_a_store_is_exported_here(
     trained: Path, exported: Path, bucket: Bucket, capsys: pytest.CaptureFixture[str]
 ) -> None:
