@@ -231,15 +231,13 @@ class Samples(Closeable):
 
     def _table(self, columns: Sequence[str] | None, **values: str | bool) -> pa.Table:
         """The samples that have these values (column=value)."""
-        with self._readable():
-            return pa.concat_tables(self._matching(columns, **values))
-
-    def _matching(self, columns: Sequence[str] | None, **values: str | bool) -> Iterator[pa.Table]:
+        parts = []
         with self._readable():
             for part in self._groups(columns):
                 for name, value in values.items():
                     part = part.filter(pc.equal(part[name], value))
-                yield part
+                parts.append(part)
+            return pa.concat_tables(parts)
 
     def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         """Yield an empty table, then the samples in row groups. Raises the errors of `_UNREADABLE`.
