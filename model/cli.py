@@ -112,7 +112,8 @@ def _try_network(config: Train, run: Path, init: Path | None, like: Path | None)
         network, picture = choice_of(load_config(run), run), picture_of_run(run)
     parameters = network.try_out(picture, machine.device)
     where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
-    return f"{_named(network.name)}{parameters:,} parameters, {counted(settings.epochs, 'epoch')}, {where}"
+    name = "" if network.name == "original" else f"{printable(network.name)}, "
+    return f"{name}{parameters:,} parameters, {counted(settings.epochs, 'epoch')}, {where}"
 
 
 def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
@@ -150,11 +151,6 @@ def _trained_locally(runs: Url, config: Train) -> Train:
     is_from_store = resume is not None and is_in_store(resume)  # `_folder_of_copies` copies it back
     copy_to = None if is_from_store else runs
     return replace(config, runs=RUNS, copy_to=copy_to, init=init, like=like, resume=resume)
-
-
-def _named(network: str) -> str:
-    """A network's name for the first printed line; empty for the original network."""
-    return "" if network == "original" else f"{printable(network)}, "
 
 
 def _resumed_at(run: Path, epochs: int) -> str:
@@ -277,14 +273,13 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
         logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
         _, code = _build_index(logs, local_path(config.index), settings, config.sessions)
         return config.index, code
-    is_current_index = config.resume is None and isinstance(config.index, Path)
-    if is_current_index:
-        for line in not_learnt_in(local_path(config.index)):
+    if config.resume is None and isinstance(config.index, Path):
+        for line in not_learnt_in(config.index):
             print_message(line)
-    if is_current_index and (absent := sessions_not_indexed(local_path(config.index), config.sessions)):
-        print_message(
-            f"{config.index}: does not hold {first_of(absent)}; `bc-index` takes in all of {config.sessions}"
-        )
+        if absent := sessions_not_indexed(config.index, config.sessions):
+            print_message(
+                f"{config.index}: does not hold {first_of(absent)}; `bc-index` takes in all of {config.sessions}"
+            )
     return config.index, DONE
 
 
