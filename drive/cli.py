@@ -96,8 +96,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> tuple[int, li
             with contextlib.ExitStack() as after, server:  # the viewer ends after the log, so its file is complete
                 after.enter_context(_viewer(config, server.session.writer))
                 if simulator is None:
-                    waiting = f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}"
-                    _notify(waiting)
+                    _notify(f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}")
                     server.run(stopped=stopped)
                 else:
                     if at_wheel is not None:

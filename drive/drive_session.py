@@ -247,9 +247,8 @@ class DriveSession:
             self.rolling_reason = "its speed is unknown"
             self.is_at_rest = not is_braking
         else:
-            stands = speed_mph <= WALKING_MPH
-            self.rolling_reason = "" if stands else f"it goes {speed_mph:.1f} mph"
-            self.is_at_rest = stands
+            self.is_at_rest = speed_mph <= WALKING_MPH
+            self.rolling_reason = "" if self.is_at_rest else f"it goes {speed_mph:.1f} mph"
 
     def _report_braking(self, is_braking: bool) -> None:
         if is_braking and not self._was_braking:
