@@ -304,9 +304,8 @@ def _up_to_date(
     try:
         counts = {name: msgspec.convert(stored["counts"][name], SessionCounts) for name in held}
         labels = {name: msgspec.convert(stored["labels"][name], SessionLabels) for name in held}
-        if any(count.not_measured is None for count in counts.values()):
-            return None  # earlier versions used crashes for validation
-        if stored["format"] != SAMPLES_FORMAT:
+        holds_out_crashes = any(count.not_measured is None for count in counts.values())  # as earlier versions did
+        if holds_out_crashes or stored["format"] != SAMPLES_FORMAT:
             return None
         return Balance.from_dict(stored["balance"]), counts, labels
     except (OSError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
