@@ -196,11 +196,12 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
 def rows_between(log: Log, start_s: float, end_s: float) -> tuple[int, int]:
     """The first and the last row between two times, in seconds from the log's first row.
 
-    Raises LogError if there is none, or if the rows are not one stretch because time goes back.
+    Second 0 also begins before rows of earlier times, such as a merged log's. Raises LogError if there is no row,
+    or if the rows are not one stretch because time goes back.
     """
     number, time_ns = _rows(log)
     since_s = (time_ns - time_ns[:1]) / 1e9
-    (at,) = np.nonzero((since_s >= start_s) & (since_s <= end_s))
+    (at,) = np.nonzero((since_s >= (start_s or -np.inf)) & (since_s <= end_s))
     if not len(at):
         stretch = f"{start_s:g} and {end_s:g} s" if end_s < np.inf else f"{start_s:g} s and its end"
         raise LogError(f"{log.path}: no row between {stretch}; it lasts {since_s.max():.1f} s")

@@ -241,6 +241,16 @@ def test_a_time_that_comes_twice_is_no_stretch(tmp_path: Path) -> None:
         rows_between(log, 0.1, 0.3)
 
 
+def test_from_second_0_on_are_all_rows_of_an_earlier_drive_too(tmp_path: Path) -> None:
+    early, late = drive(tmp_path / "early.mcap", range(5)), drive(tmp_path / "late.mcap", range(50, 55))
+    path = merge([late, early], tmp_path / "merged.mcap").path
+    with Log(path) as log:
+        assert rows_between(log, 0, float("inf")) == (50, 59)
+        with pytest.raises(LogError, match=r"time goes back .* --rows"):
+            rows_between(log, 0, 0.2)
+    assert trim_times(path, tmp_path / "all.mcap", 0, float("inf")).rows == 10
+
+
 def foreign(path: Path) -> Path:
     """Another program's log: ten messages, a tenth of a second apart, of no topic that we know."""
     with plain_writer(path, "other", "other", chunk_size=100) as writer:
