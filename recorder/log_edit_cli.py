@@ -196,6 +196,6 @@ def rows_of_flags(
 
 def times_of_flags(start_s: float | None, end_s: float | None) -> tuple[float, float]:
     begin_s, finish_s = 0.0 if start_s is None else start_s, math.inf if end_s is None else end_s
-    if not begin_s <= finish_s:
-        raise UsageError(f"--start {begin_s:g} --end {finish_s:g}: give seconds, the start before the end")
+    if not 0 <= begin_s <= finish_s:
+        raise UsageError(f"--start {begin_s:g} --end {finish_s:g}: give seconds from 0, the start before the end")
     return begin_s, finish_s

@@ -316,6 +316,8 @@ def test_what_cannot_be_done_says_why(
         (["trim", "LOG", "--to", "new", "--end", 3], "new.mcap"),
         (["trim", "LOG", "--to", "new.mcap", "--rows", 5, 3], "--rows 5 3: "),
         (["trim", "LOG", "--to", "new.mcap", "--start", "nan"], "--start nan "),
+        (["trim", "LOG", "--to", "new.mcap", "--start", -5], "--start -5 "),
+        (["tag", "LOG", "x", "--start", -5], "--start -5 "),
         (["merge", "LOG", "--to", "new.mcap"], "at least 2 logs"),
         (["info"], "at least 1 log"),
     ],
