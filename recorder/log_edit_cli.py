@@ -98,6 +98,9 @@ class Merge:
         to = _named(self.to)
         refuse_fewer(self.logs, 2)
         codes = [*map(noted, self.logs)]
+        for number, path in enumerate(self.logs):
+            if any(map(path.samefile, self.logs[:number])):
+                print_message(f"{path}: given before, so its rows are in {to} more than once")
         return _made(to, *codes, print_written(merge(self.logs, to, overwrite=self.force)))
 
 

@@ -492,6 +492,15 @@ def test_one_log_that_cannot_be_read_does_not_hide_the_others(
         assert "none.mcap: cannot be opened" in said.err
 
 
+def test_a_log_that_is_merged_with_itself_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, other = (write_log(tmp_path / name, [0.1] * 5) for name in ("a.mcap", "b.mcap"))
+    link = tmp_path / "link.mcap"
+    link.symlink_to(path)
+    assert call(main, "merge", path, other, link, "--to", tmp_path / "c.mcap") == 0
+    repeated = [line for line in capsys.readouterr().err.splitlines() if "more than once" in line]
+    assert [line.partition(":")[0] for line in repeated] == [str(link)]
+
+
 def test_merged_drives_have_the_rate_at_which_they_were_driven(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
