@@ -233,19 +233,21 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
 
     index = local_path(config.index).with_name(f"index-{run.name}")
     refuse_existing(index, overwrite=False)
+    takeovers: list[Location] = []
     if init is not None and config.takeovers:
-        logs, settings = logs_with_takeovers(init, config.takeovers, config.sessions, config.drives)
+        before, takeovers, settings = logs_with_takeovers(
+            init, config.takeovers, config.sessions, config.drives, print_message
+        )
+        logs = [*before, *takeovers]
     else:
         logs, settings = find_logs(config.on, config.sessions), IndexConfig.of(config.config.recipe)
     print_message(f"{index}: built of {counted(len(logs), 'session')}")
     names = [session_name(log) for log in logs]
     indexed, code = _build_index(logs, index, settings, config.sessions, names)
-    added = [indexed.counts[name] for name in map(session_name, config.takeovers) if name in indexed.counts]
-    if config.takeovers and not any(count.training for count in added):
+    added = [indexed.counts[name] for name in map(session_name, takeovers) if name in indexed.counts]
+    if takeovers and not any(count.training for count in added):
         shutil.rmtree(index)
-        raise UserError(
-            f"{first_of([str(log) for log in config.takeovers])}: no frame of a takeover to learn from"
-        )
+        raise UserError(f"{first_of([str(log) for log in takeovers])}: no frame of a takeover to learn from")
     return index, code
 
 

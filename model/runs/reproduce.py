@@ -18,6 +18,7 @@ from dataset.errors import PlaceNotAllowedError
 from dataset.index.sessions import find_unchanged_log
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
+from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, load_config, run_name
 from model.runs.run_inputs import log_to_open, logs_of
 
@@ -61,12 +62,18 @@ def index_of_run(
 
 
 def logs_with_takeovers(
-    run: Path, takeovers: Sequence[Location], sessions: Location, drives: Location
-) -> tuple[list[Location], IndexConfig]:
-    """The logs that `run` was trained on followed by the logs `takeovers`, and the settings of their index.
+    run: Path,
+    takeovers: Sequence[Location],
+    sessions: Location,
+    drives: Location,
+    on_notice: Callable[[str], object] = lambda notice: None,
+) -> tuple[list[Location], list[Location], IndexConfig]:
+    """The logs that `run` was trained on, those of `takeovers` that are not among them, and the settings of the
+    index of both.
 
-    The run's logs are looked for in `sessions`, then in `drives`. Raises RunError if the config of the run does
-    not record its logs; DatasetError if a log is missing or has changed.
+    The run's logs are looked for in `sessions`, then in `drives`. `on_notice` gets a notice of takeovers that were
+    learned before. Raises RunError if all were, or if the config of the run does not record its logs; DatasetError
+    if a log is missing or has changed.
     """
     settings, fingerprints = _data_of(load_config(run), run)
     logs: list[Location] = []
@@ -74,7 +81,14 @@ def logs_with_takeovers(
         drive = drives / f"{name}.mcap"
         is_drive = file_exists(drive) and not file_exists(sessions / drive.name)
         logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
-    return [*logs, *takeovers], replace(settings, drives="takeovers")
+    learned = set(map(absolute, logs))
+    new = [log for log in takeovers if absolute(log) not in learned]
+    if known := [str(log) for log in takeovers if log not in new]:
+        line = f"{first_of(known)}: {run} has already learned from {'it' if len(known) == 1 else 'them'}"
+        if not new:
+            raise RunError(f"{line}; to train longer, give `bc-train --resume {run_argument(run)} --epochs N`")
+        on_notice(line)
+    return logs, new, replace(settings, drives="takeovers")
 
 
 def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:

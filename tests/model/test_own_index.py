@@ -77,6 +77,22 @@ def test_takeovers_are_learnt_on_top_of_all_that_was_learnt_before(project: Path
     assert (config["init"]["run"], config["training"]["network"]) == ("first", "small")
 
 
+def test_takeovers_that_were_learned_before_are_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
+    old, new = supervised_drive(Path("drives/old.mcap")), supervised_drive(Path("drives/new.mcap"), 2000)
+    idle = supervised_drive(Path("drives/idle.mcap"), 3000, taken=range(0))
+    assert call(main, "--name", "second", "--init", "first", "--takeovers", old, "--epochs", "1") == 0
+    again = ("--init", "second", "--epochs", "1", "--takeovers", Path("drives/../drives/old.mcap"))
+    assert call(main, "--name", "third", *again) == 1
+    assert "old.mcap: runs/second has already learned from it; to train longer" in capsys.readouterr().err
+    assert call(main, "--name", "third", *again, idle) == 1
+    assert f"{idle}: no frame of a takeover" in capsys.readouterr().err
+    assert not Path("index-third").exists()
+    assert call(main, "--name", "third", *again, new) == 0
+    assert "old.mcap: runs/second has already learned from it\n" in capsys.readouterr().err
+    assert set(sessions_in("index-third")) == {"lake", "old", "new"}
+
+
 def test_a_drive_without_a_takeover_teaches_nothing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
     drive = supervised_drive(Path("drives/a.mcap"), taken=range(0))
