@@ -56,6 +56,7 @@ class Verdict:
     interventions: int | None = None  # in these drives; None without a drive
     has_crashes: bool = False  # the rows may include crashes
     frames: int = FEW_FRAMES  # that were measured
+    is_measurable: bool = False  # frames are held out, but no epoch has ended
 
     @property
     def is_no_better(self) -> bool:
@@ -81,7 +82,8 @@ class Verdict:
     @property
     def summary(self) -> str:
         if not self.beside_mean:
-            why = "the measured steering never changes" if self.frames else "nothing was held out"
+            nothing = "no epoch has ended" if self.is_measurable else "nothing was held out"
+            why = "the measured steering never changes" if self.frames else nothing
             return f"{why}, so its error is unknown{self.driven and f'; {self.driven}'}"
         *before_rmse, rmse = self.beside_mean
         worse = [error for error in self.beside_mean if not error.ratio < 1]
@@ -120,7 +122,16 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
         laps = part_of_laps(numbers.drives)
         driven = f"has driven {laps and f'{laps} of '}{tracks} with {counted(interventions, 'intervention')}"
     frames = measured.frames if measured is not None else 0
-    return Verdict(errors, judged or _UNKNOWN, advice(numbers), driven, interventions, numbers.has_crashes, frames)
+    return Verdict(
+        errors,
+        judged or _UNKNOWN,
+        advice(numbers),
+        driven,
+        interventions,
+        numbers.has_crashes,
+        frames,
+        is_measurable=bool(numbers.recordings) and not numbers.epochs,
+    )
 
 
 def part_of_laps(drives: Sequence[Mapping[str, Any]]) -> str:

@@ -334,6 +334,12 @@ def test_the_rules_have_an_end() -> None:
     assert verdict_of(empty).summary == "nothing was held out, so its error is unknown"
 
 
+def test_before_the_first_epoch_frames_are_held_out_but_not_measured() -> None:
+    verdict = verdict_of(numbers(epochs=[]))
+    assert verdict.summary == "no epoch has ended, so its error is unknown"
+    assert verdict.advice == Advice("stopped after 0 of 10 epochs", "bc-train --resume first")
+
+
 def test_what_strangers_have_written_is_quoted_and_survived() -> None:
     """A command is pasted into a shell."""
     worst = {"track": "x; rm -rf ~", "set_speed_mph": 10.0, "interventions": 3}
