@@ -48,6 +48,8 @@ def reaction_time(frames: pa.Table) -> ReactionTime | None:
         is_known = np.isfinite(later)
         if is_known.mean() < MIN_KNOWN:
             break
+        if delay_s and not after_s[is_known].any():
+            continue  # shorter than half a step: fewer frames than at 0, but none later
         correlation = errors(predicted[is_known], later[is_known]).correlation
         delays.append(ReactionTime(float(after_s[is_known].mean()), correlation))
     defined = [delay for delay in delays if not math.isnan(delay.correlation)]

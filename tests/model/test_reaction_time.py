@@ -52,6 +52,13 @@ def test_the_delay_is_that_of_the_frames_compared() -> None:
     assert found.delay_s == pytest.approx(0.25)
 
 
+def test_a_delay_below_half_a_step_is_not_compared() -> None:
+    """It would leave out the last frame, which is wrong, and compare each other frame with itself."""
+    found = reaction_time(frames(np.append(PRESSES[:-1], 5.0), PRESSES))
+    assert found is not None
+    assert found.correlation == pytest.approx(np.corrcoef(np.append(PRESSES[:-1], 5.0), PRESSES)[0, 1])
+
+
 def test_each_session_is_compared_with_itself() -> None:
     late = [frames(sign * PRESSES[2:], sign * PRESSES[:-2], name) for name, sign in (("a", 1.0), ("b", -1.0))]
     mixed = pa.concat_tables(late).take(np.random.default_rng(1).permutation(2 * (len(PRESSES) - 2)))
