@@ -71,10 +71,11 @@ def logs_with_takeovers(
     """The logs that `run` was trained on, those of `takeovers` that are not among them, and the settings of the
     index of both.
 
-    The run's logs are looked for in `sessions`, then in `drives`. `on_notice` gets a notice of takeovers that were
-    learned before. Raises RunError if all were, or if the config of the run does not record its logs; DatasetError
-    if a log is missing or has changed.
+    The run's logs are looked for in `sessions`, then in `drives`; names of takeovers in `drives`. `on_notice` gets
+    a notice of takeovers that were learned before. Raises RunError if all were, or if the config of the run does
+    not record its logs; DatasetError if a log is missing or has changed.
     """
+    takeovers = find_logs(takeovers, drives)
     settings, fingerprints = _data_of(load_config(run), run)
     logs: list[Location] = []
     for name, fingerprint in fingerprints.items():

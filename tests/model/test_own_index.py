@@ -93,6 +93,19 @@ def test_takeovers_that_were_learned_before_are_named(project: Path, capsys: pyt
     assert set(sessions_in("index-third")) == {"lake", "old", "new"}
 
 
+def test_a_drive_is_named_as_other_commands_name_it(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A mistyped drive is not left out of the training."""
+    assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
+    drive = supervised_drive(Path("drives/run.mcap"))
+    again = ("--name", "second", "--init", "first", "--epochs", "1", "--takeovers")
+    for wrong in ("rum", "drives/rum.mcap"):
+        assert call(main, *again, wrong, drive) == 1
+        assert "bc-train: drives/rum.mcap: no such log; did you mean run?" in capsys.readouterr().err
+    assert not Path("index-second").exists()
+    assert call(main, *again, "run") == 0
+    assert set(sessions_in("index-second")) == {"lake", "run"}
+
+
 def test_a_drive_without_a_takeover_teaches_nothing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
     drive = supervised_drive(Path("drives/a.mcap"), taken=range(0))
