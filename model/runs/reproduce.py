@@ -75,13 +75,13 @@ def logs_with_takeovers(
     a notice of takeovers that were learned before. Raises RunError if all were, or if the config of the run does
     not record its logs; DatasetError if a log is missing or has changed.
     """
-    takeovers = find_logs(takeovers, drives)
     settings, fingerprints = _data_of(load_config(run), run)
     logs: list[Location] = []
     for name, fingerprint in fingerprints.items():
         drive = drives / f"{name}.mcap"
         is_drive = file_exists(drive) and not file_exists(sessions / drive.name)
         logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
+    takeovers = find_logs(takeovers, drives)
     learned = set(map(absolute, logs))
     new = [log for log in takeovers if absolute(log) not in learned]
     if known := [str(log) for log in takeovers if log not in new]:

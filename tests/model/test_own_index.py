@@ -100,7 +100,7 @@ def test_a_drive_is_named_as_other_commands_name_it(project: Path, capsys: pytes
     again = ("--name", "second", "--init", "first", "--epochs", "1", "--takeovers")
     for wrong in ("rum", "drives/rum.mcap"):
         assert call(main, *again, wrong, drive) == 1
-        assert "bc-train: drives/rum.mcap: no such log; did you mean run?" in capsys.readouterr().err
+        assert "bc-train: drives/rum.mcap: no such log" in capsys.readouterr().err
     assert not Path("index-second").exists()
     assert call(main, *again, "run") == 0
     assert set(sessions_in("index-second")) == {"lake", "run"}
