@@ -28,7 +28,7 @@ from recorder.log.session_car import (
     metadata_of,
     stored_car,
 )
-from recorder.log.tags import read_tags
+from recorder.log.tagged_rows import tags_of
 from recorder.pictures.picture_size import width_and_height
 from recorder.rows.steering_habits import LagFinding
 from recorder.topics import QUALITY_METADATA, camera_topic
@@ -116,7 +116,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
     if problem := name_problem(path):
         raise LogError(problem)
     with Log(path) as log:
-        tags = read_tags(path, log.fingerprint)
+        tags = tags_of(log)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
         entry = BuiltLog(

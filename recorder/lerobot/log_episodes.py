@@ -15,7 +15,8 @@ from common.car import Camera
 from common.stretches import within
 from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
-from recorder.log.tags import EXCLUDE, read_tags
+from recorder.log.tagged_rows import tags_of
+from recorder.log.tags import EXCLUDE
 from recorder.mcap.picture_places import Pictures
 from recorder.pictures.decoding import decode_picture, is_whole_picture
 from recorder.pictures.picture_size import SizeReader
@@ -71,7 +72,7 @@ def log_episodes(
     """
     states = States.of(log.vehicle())
     name = log.path.name
-    excluded = [tag for tag in read_tags(log.path, log.fingerprint) if tag.name == EXCLUDE]
+    excluded = [tag for tag in tags_of(log) if tag.name == EXCLUDE]
     is_excluded = within(states.row, [(tag.first_row, tag.last_row) for tag in excluded])
     taken = ~is_excluded
     if chosen is not None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from bisect import bisect_right
 from collections.abc import Iterable
 
 from common.location import Location
+from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
-from recorder.log.tags import FINE, Tag, tags_by_content
+from recorder.log.tags import FINE, Tag, bad_rows_in, read_tags, tags_by_content
 from recorder.rows.odd_stretches import OddStretch
 
 
@@ -45,3 +47,19 @@ def fine_rows(path: Location) -> TaggedRows:
             return TaggedRows(tags[log.fingerprint])
     except LogError:
         return TaggedRows(())
+
+
+def tags_of(log: Log) -> list[Tag]:
+    """The tags of a log; of an unfinished log, also those that it gets when it is recovered. Raises LogError for a
+    damaged file of tags."""
+    return sorted({*read_tags(log.path, log.fingerprint), *bad_rows(log)})
+
+
+def bad_rows(log: Log) -> list[Tag]:
+    """The tags for rows that a person marked as bad during the recording; a finished log has them in its file of
+    tags."""
+    if not log.problem or not log.is_ours or topics.EVENTS not in log.counts:
+        return []
+    with contextlib.suppress(LogError):
+        return [tag for _, event in log.decoded(topics.EVENTS) if (tag := bad_rows_in(event.message))]
+    return []

@@ -25,7 +25,8 @@ from recorder import topics
 from recorder.errors import LogError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
-from recorder.log.tags import Tag, read_tags
+from recorder.log.tagged_rows import tags_of
+from recorder.log.tags import Tag
 from recorder.log.writer import LogWriter
 from recorder.mcap.compressed_image import is_image_channel
 from recorder.rows.row_quality import drive_numbers
@@ -65,7 +66,7 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
             return first_ns <= message.log_time <= last_ns
 
         chosen = number[is_chosen].tolist()
-        tags = tags_of_rows(read_tags(path, log.fingerprint), chosen)
+        tags = tags_of_rows(tags_of(log), chosen)
         about = {"trimmed_from": path.name, "rows": f"{min(chosen)}-{max(chosen)}"}
         return _copied(log, to, is_in, tags, about, overwrite)
 
@@ -99,7 +100,7 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(Log(path)) for path in paths]
         _refuse_different_steering(logs)
-        tags = [read_tags(log.path, log.fingerprint) for log in logs]
+        tags = [tags_of(log) for log in logs]
         merged_tags: list[Tag] = []
         metadata = {"source": "merged", "merged_from": ", ".join(path.name for path in paths)}
         writer = stack.enter_context(LogWriter(to, metadata, overwrite=overwrite))
@@ -151,7 +152,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
         for target in targets:
             refuse_existing(target, overwrite)
-        tags, session = read_tags(path, log.fingerprint), log.metadata
+        tags, session = tags_of(log), log.metadata
         writers = []
         for drive, target in enumerate(targets):
             about = {"split_from": path.name, "drive": str(drive)}
@@ -189,7 +190,7 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
         if not log.is_ours:
             importing = f"`bc-record NAME --from {shlex.quote(str(path))}`"
             raise LogError(f"{path}: another program's log; import it with {importing}")
-        tags, about = read_tags(path, log.fingerprint), {"rewritten_from": path.name}
+        tags, about = tags_of(log), {"rewritten_from": path.name}
         return _copied(log, to, lambda *_: True, tags, about, overwrite, same_as=log.fingerprint)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,7 +18,8 @@ from common.untrusted import real_path
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
-from recorder.log.tags import Tag, bad_rows_in, read_tags
+from recorder.log.tagged_rows import bad_rows
+from recorder.log.tags import Tag, read_tags
 from recorder.mcap.mcap_file import Chunk
 from recorder.rows.odd_stretches import rows_named
 from recorder.topics import CAMERA_TOPICS, PICTURE_TOPICS, ROW_TOPICS, VEHICLE
@@ -83,7 +83,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             if not count:
                 raise LogError(f"{path}: no complete message in it: there is nothing to recover")
             copy_rest(log, records, writer, skipped)
-            tags += _bad_rows(log)
+            tags += bad_rows(log)
             close_with_tags(writer, tags_of_rows(tags, rows))
     for start, end in log.lost:
         if log.problem:
@@ -104,16 +104,6 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
     if goes_on:
         notices.append(f"{path}: it is still being recorded; {to.name} lacks its end")
     return Written(to, count, len(rows), skipped, notices)
-
-
-def _bad_rows(log: Log) -> list[Tag]:
-    """The tags for rows that a person marked as bad during the recording; a finished log has them in its file of
-    tags."""
-    if not log.problem or not log.is_ours or topics.EVENTS not in log.counts:
-        return []
-    with contextlib.suppress(LogError):
-        return [tag for _, event in log.decoded(topics.EVENTS) if (tag := bad_rows_in(event.message))]
-    return []
 
 
 def _sound_metadata(log: Log, skipped: Skipped) -> list[tuple[str, dict[str, str]]]:

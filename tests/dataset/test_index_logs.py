@@ -16,9 +16,10 @@ from common.car import Camera
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, find_logs
 from dataset.cli import main
 from layouts import Layout, mixed, two_kinds
-from logs import write_log
+from logs import START_NS, STEP_NS, write_log
 from places import Place
-from recorder import Log
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags, remove_tags
 from recorder.upkeep.edit import merge, trim
 from recorder.upkeep.recover import recover
@@ -52,6 +53,19 @@ def compress(path: Path, to: Path, compression: CompressionType) -> Path:
             )
         writer.finish()  # type: ignore[no-untyped-call]
     return to
+
+
+def test_rows_marked_bad_in_an_unfinished_log_are_never_trained_on(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"source": "test"}) as writer:
+        for row, steering in enumerate(STEERING):
+            writer.picture("center", START_NS + row * STEP_NS, row, picture("center", row))
+            writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=steering, speed_mph=9.0))
+        writer.event(START_NS, "driven badly: rows 10 to 19")
+    os.truncate(path, path.stat().st_size - 1)
+    rows = set(build_index([path], tmp_path / "index").samples["row"].to_pylist())
+    assert rows
+    assert rows.isdisjoint(range(10, 20))
 
 
 def test_excluded_rows_are_never_trained_on_and_every_tag_is_a_column(tmp_path: Path) -> None:

@@ -34,10 +34,12 @@ SECOND_NS = 1_000_000_000
 VERSION = version_of()
 
 
-def drive(path: Path, rows: Iterable[int], *, gap_after: int | None = None, name: str = "") -> Path:
+def drive(
+    path: Path, rows: Iterable[int], *, gap_after: int | None = None, name: str = "", begins: str = "begin "
+) -> Path:
     """A drive with every kind of message; the events `begin` and `end` lie outside of its rows' time."""
     with LogWriter(path, {"source": "test", "driver": name or path.stem}) as writer:
-        writer.event(START_NS - 1, f"begin {name}")
+        writer.event(START_NS - 1, f"{begins}{name}")
         for row in rows:
             time_ns = START_NS + row * STEP_NS
             if gap_after is not None and row > gap_after:
@@ -398,6 +400,17 @@ def test_drives_that_are_kept_after_a_failure_have_their_tags(
 
 
 # Tags
+
+
+def test_rows_marked_bad_in_an_unfinished_log_are_tagged_in_new_ones(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=5, begins="driven badly: rows 3 to 7")
+    part, _ = killed(whole)
+    trim(part, tmp_path / "trimmed.mcap", (2, 4))
+    assert tags_of(tmp_path / "trimmed.mcap") == [(3, 4, "exclude")]
+    merge([part, whole], tmp_path / "merged.mcap")  # a finished log has its tags in a file
+    assert tags_of(tmp_path / "merged.mcap") == [(3, 7, "exclude")]
+    first, second = split(part, tmp_path / "drives")
+    assert (tags_of(first.path), tags_of(second.path)) == ([(3, 5, "exclude")], [(6, 7, "exclude")])
 
 
 def test_tags_go_where_their_rows_go(tmp_path: Path) -> None:
