@@ -45,6 +45,7 @@ async function poll() {
 
 // the address has the values of a form, so that a user can keep and send it
 function nameInAddress(form) {
+  if (new URL(form.action).pathname !== location.pathname) return; // it leads to another page
   const filled = [...new FormData(form)].filter(([, value]) => value);
   history.replaceState(null, "", `${form.action}${filled.length ? "?" : ""}${new URLSearchParams(filled)}`);
 }
@@ -53,6 +54,15 @@ if (document.querySelector("[data-live]")) {
   document.addEventListener("visibilitychange", poll);
   poll();
 }
+// a second click before the answer would start a second job
+const sent = new Set();
+document.addEventListener("submit", (event) => {
+  if (event.target.method !== "post" || event.defaultPrevented) return;
+  if (sent.has(event.target)) event.preventDefault();
+  sent.add(event.target);
+});
+window.addEventListener("pageshow", () => sent.clear()); // back from the answer
+
 for (const form of document.querySelectorAll("form.filters")) {
   form.addEventListener("input", () => nameInAddress(form));
 }
