@@ -20,6 +20,7 @@ from histories import epoch_line, write_lines
 from logs import write_log
 from model.config import TrainConfig
 from model.runs.kept_results import keep_result
+from recorder import Log
 from runs import a_run
 from waiting import wait_until
 from web.server.templates import with_code
@@ -205,6 +206,24 @@ def test_train_again_repeats_sessions_with_blanks_in_their_names(tmp_path: Path)
     on = command.index("--on")
     assert command[on + 1 : on + 3] == ["my drive", "it's"]
     assert command[on + 3].startswith("--")
+
+
+def test_before_training_again_its_page_names_the_logs_that_differ(tmp_path: Path) -> None:
+    """Trained for minutes, the network would be compared with one that learnt from other rows."""
+    log = write_log(tmp_path / "sessions" / "my drive.mcap", [0.1] * 10)
+    with Log(log) as opened:
+        logs = {"my drive": {"fingerprint": opened.fingerprint}}
+    run = a_run(tmp_path / "runs", "mine")
+    config = json.loads((run / "config.json").read_text()) | {"index": "index-mine", "data": {"logs": logs}}
+    (run / "config.json").write_text(json.dumps(config))
+    with served(tmp_path) as bench:
+        said = "Train again does not use the same data: my drive"
+        wait_until(lambda: "Train again" in plain(bench.get("/runs/mine/top").text))
+        assert said not in plain(bench.get("/runs/mine/top").text)
+        write_log(tmp_path / "other.mcap", [0.2] * 10).replace(log)
+        wait_until(lambda: f"{said} has changed." in plain(bench.get("/runs/mine/top").text))
+        log.unlink()
+        wait_until(lambda: f"{said} is not in these folders." in plain(bench.get("/runs/mine/top").text))
 
 
 def a_run_of_takeovers(project: Path, *drives: str, **training: Any) -> None:

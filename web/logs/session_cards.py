@@ -80,6 +80,7 @@ class SessionCard:
     path: Location
     version: str
     info: LogInfo | None
+    fingerprint: str  # "" until it is read
     problem: str
     tags: dict[str, int]  # number of rows by name
     tags_problem: str
@@ -185,6 +186,7 @@ class SessionCards:
             path=path,
             version=version,
             info=info,
+            fingerprint=glance.fingerprint if glance else "",
             problem=problem,
             tags=dict(rows_by_name(tags)),
             tags_problem=tags_problem,

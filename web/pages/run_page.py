@@ -17,6 +17,7 @@ from starlette.routing import Route
 from common import UserError
 from common.car import MAX_STEERING_DEG
 from common.errors import printable
+from common.files import session_name
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.stored_settings import settings_from
 from common.whole_number import whole_number
@@ -37,6 +38,7 @@ from web.runs.run_settings import settings_of
 from web.server.templates import page, page_of
 
 _MAX_NUMBERS: Final = 14  # of a result
+_MAX_REASONS: Final = 3
 _FULL_LOCK_RAD: Final = (
     math.pi / 3
 )  # of the drawn line: more than the wheels' angle, to make a few degrees visible
@@ -73,7 +75,8 @@ def run_routes(bench: Workbench) -> list[Route]:
             "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
             "job": bench.jobs.training(f"/runs/{key}"),
-            "again": _again(bench, card, config),
+            "again": (again := _again(bench, card, config)),
+            "not_as_before": _not_as_before(bench, card, config) if again and config else "",
             "settings": settings_of(config) if config is not None else {},
             "sessions": _sessions(pages, card),
             "is_of_index": _is_of_index(path, bench.folders.local_index),
@@ -111,12 +114,35 @@ def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> st
     values |= {"recipe": run.recipe, "targets": " ".join(run.targets), "seed": str(run.seed)}
     for name, value in _changed(settings, TrainConfig.of(settings.recipe)).items():
         values[name] = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-    if str(config.get("index")).endswith(f"index-{card.path.name}"):  # of --on
+    if _is_on(config, card):
         values["on"] = in_one_field(run.sessions)
         if not values["on"]:
             return ""
     values["init"] = init
     return urlencode({"start": "train", **{name: value for name, value in values.items() if value}})
+
+
+def _not_as_before(bench: Workbench, card: RunCard, config: Mapping[str, Any]) -> str:
+    """Why a training with the settings of this run would learn from other data; "" if it would not."""
+    data = config.get("data")
+    before = data.get("logs") if isinstance(data, dict) else None
+    logs = [log for place in reversed(PLACES) for log in bench.cards.cards(place, 0.3)]
+    now = {session_name(log.path): log.fingerprint for log in logs}
+    reasons = []
+    for session, log in before.items() if isinstance(before, dict) else ():
+        if session not in now:
+            reasons.append(f"{printable(session)} is not in these folders")
+        elif now[session] and isinstance(log, dict) and log.get("fingerprint", now[session]) != now[session]:
+            reasons.append(f"{printable(session)} has changed")
+    if not reasons and not _is_on(config, card):
+        index = index_checksum(bench.folders.local_index)
+        return "the index is another one" if index not in ("", origin_of(card.path).index) else ""
+    return ", ".join(reasons[:_MAX_REASONS]) + ", and others" * (len(reasons) > _MAX_REASONS)
+
+
+def _is_on(config: Mapping[str, Any], card: RunCard) -> bool:
+    """Whether a run has an index of its own, as `--on` and `--takeovers` build it."""
+    return str(config.get("index")).endswith(f"index-{card.path.name}")
 
 
 def _changed(settings: TrainConfig, usual: TrainConfig) -> dict[str, Any]:
