@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Final, NamedTuple, get_args
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from common.errors import printable
-from common.files import session_name
 from common.stretches import stretches
-from dataset.config import IndexConfig
-from dataset.frames.frame_flags import ImageFindings, PictureFlag, lists_with
-from dataset.frames.frames_table import frames_of
+from dataset.frames.frame_flags import ImageFindings, Paired, PictureFlag, frame_flags, lists_with
+from dataset.frames.pairing import paired_rows
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
 from recorder.log.tagged_rows import TaggedRows
@@ -82,11 +81,10 @@ def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
 
 def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> dict[PictureFlag, NDArray[np.bool_]]:
     """A mask (N,) of rows for each flag of pictures."""
-    pictures = {camera: log.pictures(camera_topic(camera)) for camera in CAMERAS}
-    session = printable(session_name(log.path))  # a file name may be no text
-    frames = frames_of(states, pictures, session, IndexConfig(), findings=findings)
-    row = frames["row"].to_numpy()
-    return {flag: np.isin(states.row, row[lists_with(frames["flags"], flag)]) for flag in get_args(PictureFlag)}
+    paired = {camera: Paired(*paired_rows(log.pictures(camera_topic(camera)), states)) for camera in CAMERAS}
+    flags = pa.chunked_array([frame_flags(states, paired, findings)])
+    row = states.row[np.concatenate([frames.state for frames in paired.values()])]
+    return {flag: np.isin(states.row, row[lists_with(flags, flag)]) for flag in get_args(PictureFlag)}
 
 
 def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list[Rows]:
