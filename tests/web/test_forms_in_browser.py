@@ -1,4 +1,4 @@
-"""Forms keep what is typed, and start one command."""
+"""Forms keep what is typed, start one command, and say what is wrong."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pages import opened_page
+from runs import a_run
 from waiting import wait_until
 from workbench import served
 
@@ -42,3 +43,17 @@ def test_values_are_still_there_on_the_way_back_from_an_error(browser: Browser, 
         page.wait_for_selector("text=no such folder or file")
         page.go_back()
         wait_until(lambda: page.input_value("[name=source]") == "/no/such folder")
+
+
+def test_the_name_of_a_drive_says_which_characters_it_may_have(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/wheel") as page:
+        page.fill("[name=name]", "Fahrt über Land")
+        assert page.evaluate("document.querySelector('[name=name]').validity.patternMismatch")
+        assert "letters from a to z, digits" in (page.get_attribute("[name=name]", "title") or "")
+
+
+def test_the_page_of_a_run_that_is_deleted_says_so(browser: Browser, tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "mine")
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/runs/mine") as page:
+        run.rename(tmp_path / "elsewhere")
+        wait_until(lambda: "no run 'mine' in it" in page.inner_text("#status"))

@@ -1,4 +1,4 @@
-"""Responses for errors: a page where a browser opens an address, JSON for a script."""
+"""Responses for errors: a page where a browser opens an address, JSON for a script and a part of a page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from web.server.templates import PAGES, render
 def error_answer(scope: Scope, error: WebError) -> Response:
     """The answer to a request that failed, with the reason."""
     reason = printable(safe_line(str(error)))
-    if "text/html" in Headers(scope=scope).get("accept", ""):
+    headers = Headers(scope=scope)
+    if "text/html" in headers.get("accept", "") and "hx-request" not in headers:
         title = HTTPStatus(error.status).phrase
         page = next((page for page in PAGES if scope["path"].startswith(page[1])), PAGES[1])
         return HTMLResponse(render("error.html", title=title, reason=reason, page=page), status_code=error.status)
