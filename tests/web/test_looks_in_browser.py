@@ -10,6 +10,7 @@ from driving import road_jpeg, untrained_run
 from histories import epoch_line, write_lines
 from logs import write_log
 from pages import open_session, opened_page
+from runs import a_run
 from udacity import make_recording, paths
 from waiting import wait_until
 from workbench import served
@@ -117,3 +118,16 @@ def test_a_command_stays_unfolded_while_the_list_changes(browser: Browser, tmp_p
         page.evaluate(SWAPPED)
         assert entry.locator("details code").is_visible()
         assert "bc-record 'first lap' --laps=none" in entry.locator("details code").inner_text()
+
+
+def test_runs_with_long_names_fit_on_a_phone(browser: Browser, tmp_path: Path) -> None:
+    """A run that was not named has a name of 26 characters."""
+    name = "2026-11-28_12-34-42-9dae8c"
+    a_run(tmp_path / "runs", name)
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+    paths = ("/map?of=sessions/a", "/sessions/a", f"/runs/{name}", "/runs", f"/wheel?driver=run&run={name}")
+    with served(tmp_path) as bench, opened_page(browser, bench.address, width=390) as page:
+        wait_until(lambda: "Let it drive" in bench.get(f"/runs/{name}/top").text)
+        for path in paths:
+            page.goto(f"{bench.address}{path}", wait_until="networkidle")
+            assert page.evaluate("document.documentElement.scrollWidth") == 390, path
