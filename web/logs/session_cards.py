@@ -80,7 +80,6 @@ class SessionCard:
     path: Location
     version: str
     info: LogInfo | None
-    fingerprint: str  # "" until it is read
     problem: str
     tags: dict[str, int]  # number of rows by name
     tags_problem: str
@@ -150,6 +149,15 @@ class SessionCards:
             for path, version in versions
         ]
 
+    def fingerprints(self, place: Place, patience_s: float) -> dict[str, str]:
+        """The fingerprint of each log in a folder, by session; "" if it is not read within `patience_s`."""
+        versions = [(path, self._folders.version_of_log(path)) for path in self._folders.logs(place).values()]
+        glances = self._glances[place].results(versions, patience_s)
+        return {
+            session_name(path): glance.fingerprint if isinstance(glance := glances.get(path), Glance) else ""
+            for path, _ in versions
+        }
+
     def info(self, path: Location) -> LogInfo:
         """The description of a log; if it is in a store, from the cache. Raises LogError, StoreError."""
         if isinstance(path, Path):
@@ -186,7 +194,6 @@ class SessionCards:
             path=path,
             version=version,
             info=info,
-            fingerprint=glance.fingerprint if glance else "",
             problem=problem,
             tags=dict(rows_by_name(tags)),
             tags_problem=tags_problem,

@@ -17,7 +17,6 @@ from starlette.routing import Route
 from common import UserError
 from common.car import MAX_STEERING_DEG
 from common.errors import printable
-from common.files import session_name
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.stored_settings import settings_from
 from common.whole_number import whole_number
@@ -126,8 +125,9 @@ def _not_as_before(bench: Workbench, card: RunCard, config: Mapping[str, Any]) -
     """Why a training with the settings of this run would learn from other data; "" if it would not."""
     data = config.get("data")
     before = data.get("logs") if isinstance(data, dict) else None
-    logs = [log for place in reversed(PLACES) for log in bench.cards.cards(place, 0.3)]
-    now = {session_name(log.path): log.fingerprint for log in logs}
+    now: dict[str, str] = {}
+    for place in reversed(PLACES):
+        now |= bench.cards.fingerprints(place, 0.3)
     reasons = []
     for session, log in before.items() if isinstance(before, dict) else ():
         if session not in now:
