@@ -66,14 +66,15 @@ def index_messages(
 
 
 def _together(read: Iterable[Read]) -> Iterator[list[Read]]:
-    """The chunks in groups of `_AT_ONCE`: arrays of a chunk's few messages would take longer than the messages."""
-    group, size = list[Read](), 0
+    """The chunks in groups of `_AT_ONCE`: arrays of a chunk's few messages would take longer than the messages.
+    The first chunk is alone: mostly, only that one has channels."""
+    group, size, enough = list[Read](), 0, 0
     for chunk, records in read:
         group.append((chunk, records))
         size += len(records)
-        if size >= _AT_ONCE:
+        if size >= enough:
             yield group
-            group, size = [], 0
+            group, size, enough = [], 0, _AT_ONCE
     if group:
         yield group
 
