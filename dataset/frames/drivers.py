@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dataset.config import Drives
 from recorder import Log
+from recorder.mcap.number_fields import known_values
 from recorder.topics import PILOT_COMMAND
 
 Driver = Literal["", "pilot", "human", "expert"]
@@ -33,8 +34,7 @@ def read_commands(log: Log) -> Commands:
     """The commands in a log. Raises LogError if the log is damaged."""
     table = log.numbers(PILOT_COMMAND, ["driver", "steering"])
     sequence, log_time_ns, driver, steering = (column.to_numpy() for column in table.columns)
-    is_known = (driver >= 0) & (driver < len(DRIVERS))  # a later version may know more
-    return Commands(sequence, log_time_ns, np.where(is_known, driver, 0).astype(np.int8), steering)
+    return Commands(sequence, log_time_ns, known_values(driver, len(DRIVERS)), steering)
 
 
 def is_taken(driver: NDArray[np.int8], drives: Drives) -> NDArray[np.bool_]:

@@ -30,7 +30,7 @@ from recorder.mcap.chunk_reader import ChunkReader
 from recorder.mcap.log_index import LogIndex
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read
-from recorder.mcap.number_fields import decode_numbers
+from recorder.mcap.number_fields import decode_numbers, known_values
 from recorder.mcap.picture_places import Pictures, is_about_places, read_chunk_crcs
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
@@ -283,9 +283,7 @@ class Log(Closeable):
 
     def devices(self) -> NDArray[np.int8]:
         """A person's device in each vehicle state (N,), as its position in `DEVICES`."""
-        numbers = self.numbers(topics.VEHICLE, ["device"])["device"].to_numpy()
-        is_known = (numbers >= 0) & (numbers < len(DEVICES))  # a later version may know more
-        return np.where(is_known, numbers, 0).astype(np.int8)
+        return known_values(self.numbers(topics.VEHICLE, ["device"])["device"].to_numpy(), len(DEVICES))
 
     def numbers(self, topic_name: str, fields: Sequence[str]) -> pa.Table:
         """Fields of the messages on a topic of the registry, one message a row: row, log_time_ns, and each field

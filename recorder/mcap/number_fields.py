@@ -50,6 +50,11 @@ def decode_numbers(
     return values
 
 
+def known_values(numbers: NDArray[np.float64], count: int) -> NDArray[np.int8]:
+    """The values (N,) of an enum with `count` of them: 0, unknown, for those of a later version."""
+    return np.where((numbers >= 0) & (numbers < count), numbers, 0).astype(np.int8)
+
+
 class _Together:
     """Decodes the same field of many messages at once."""
 
