@@ -24,8 +24,8 @@ class LogIndex:
         track: Callable[[Iterable[Read], int], Iterable[Read]],
         have_read: Callable[[Sequence[Chunk]], object],
     ) -> None:
-        """`track` shows the progress of reading a number of chunks. `have_read` is told of chunks whose CRCs
-        match."""
+        """`track` shows the progress while so many chunks are read. `have_read` gets the chunks afterwards: their
+        CRCs match."""
         self._file = file
         self._structure = structure
         self._track = track

@@ -72,14 +72,13 @@ class DrawnMessages:
     @cached_property
     def poses(self) -> tuple[Times, Numbers]:
         """As an entry of `numbers`; empty without poses."""
-        log = self._log
-        if POSE in _of_registry(log):
-            with contextlib.suppress(
-                LogError
-            ):  # a damaged pose: the path gets a gap, which `bc-log check` reports
-                return _columns(log, POSE)
-        time_ns, poses = _split(_readable_poses(log) if POSE in _of_registry(log) else ())
-        return time_ns, numbers_of(POSE, poses)
+        if POSE not in _of_registry(self._log):
+            return np.zeros(0, np.int64), numbers_of(POSE, [])
+        try:
+            return _columns(self._log, POSE)
+        except LogError:  # the path gets a gap, which `bc-log check` reports
+            time_ns, poses = _split(_readable_poses(self._log))
+            return time_ns, numbers_of(POSE, poses)
 
     @cached_property
     def events(self) -> tuple[Times, list[Any]]:

@@ -3,7 +3,6 @@ keeps them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from concurrent.futures import Executor
 from itertools import islice
@@ -102,14 +101,14 @@ def _path(log: Log, rows: NDArray[np.int64], mph: NDArray[np.float64]) -> list[C
     command_rows, _, driver, steering, expert = (column.to_numpy() for column in commands.columns)
     full_deg = max_steering_deg_of(log)
     error_deg = np.abs(steering - expert) * full_deg
-    errors = np.where(error_deg <= 2 * full_deg, np.round(error_deg, 2), np.nan).tolist()
+    errors = [round(error, 2) if error <= 2 * full_deg else None for error in error_deg.tolist()]  # None for NaN
     sent = dict(zip(command_rows.tolist(), zip(driver.astype(int).tolist(), errors, strict=True), strict=True))
     places = []
     for number, x, y in zip(row.tolist(), x_m.tolist(), y_m.tolist(), strict=True):
         if abs(x) < 1e6 and abs(y) < 1e6:
-            by, error = sent.get(number, (0, math.nan))
-            known = None if math.isnan(error) else error
-            places.append(CarPlace(number, round(x, 2), round(y, 2), speeds.get(number, 0.0), by, known))
+            places.append(
+                CarPlace(number, round(x, 2), round(y, 2), speeds.get(number, 0.0), *sent.get(number, (0, None)))
+            )
     return places
 
 

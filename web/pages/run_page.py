@@ -69,12 +69,13 @@ def run_routes(bench: Workbench) -> list[Route]:
         pages, config = _log_pages(bench.folders), None
         with contextlib.suppress(UserError):  # damaged, or changed meanwhile
             config = load_config(path)
+        again = _again(bench, card, config)
         return {
             "card": card,
             "path": printable(str(bench.folders.run_place(path))),
             "summary": card.summary,
             "job": bench.jobs.training(f"/runs/{key}"),
-            "again": (again := _again(bench, card, config)),
+            "again": again,
             "not_as_before": _not_as_before(bench, card, config) if again and config else "",
             "settings": settings_of(config) if config is not None else {},
             "sessions": _sessions(pages, card),
