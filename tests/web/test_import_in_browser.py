@@ -67,7 +67,8 @@ def test_a_folder_of_any_number_of_files_is_listed(browser: Browser, tmp_path: P
         page.wait_for_load_state()
         page.evaluate(
             """() => {
-                const file = { isFile: true, fullPath: "/lake/IMG/a", file: (done) => done(new File([], "a")) };
+                const content = new File([], "a");
+                const file = { isFile: true, fullPath: "/lake/IMG/a", file: (done) => done(content) };
                 const reader = (parts) => ({ readEntries: (done) => done(parts.shift() ?? []) });
                 const folder = (parts) => ({ createReader: () => reader(parts) });
                 const batches = Array.from({ length: 3001 }, () => Array(100).fill(file));
