@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-
 # tests start hundreds of processes: Python may always write compiled modules, so that each is compiled once
 test test-browser test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install install-dev demo test test-browser test-long coverage bench check docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
+.PHONY: install install-dev demo test test-browser test-long coverage bench check check-style check-types check-types-windows docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
 
 # for users; the targets for tests, checks and docs install more
 install: $(VENV)/installed
@@ -58,10 +58,17 @@ coverage: $(VENV)/installed-dev
 bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/bench.py $(ARGS)
 
-check: $(VENV)/installed-dev
+# `make -j check` takes half the time
+check: check-style check-types check-types-windows
+
+check-style: $(VENV)/installed-dev
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/ruff format --check $(SOURCES)
+
+check-types: $(VENV)/installed-dev
 	$(BIN)/mypy
+
+check-types-windows: $(VENV)/installed-dev
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 $(ROOMS)
 
 docs: $(VENV)/installed-dev
