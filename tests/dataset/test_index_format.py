@@ -214,7 +214,7 @@ CHOICES: dict[str, Callable[[dict[str, Any]], bool]] = {
 
 
 def test_every_condition_on_the_page_is_tried() -> None:
-    assert first_column(section("Choosing frames with --where"), "condition") == list(CHOICES)
+    assert first_column(section("Choosing frames with a condition"), "condition") == list(CHOICES)
 
 
 @pytest.mark.parametrize("condition", [*CHOICES, "list_contains(tags, 'recovery')"])
