@@ -27,6 +27,7 @@ from common.flag_help import asks_for_help, print_help
 from common.flag_types import quick_types
 from common.interrupts import GracefulStop, handle_signals
 from common.location import refuse_collapsed
+from common.location_flag import path_flags
 from common.output import MessageHandler, clear_live_displays, print_message, print_result
 from common.streams import drain, end_process, nonblocking_streams, stdout_error
 from common.versions import version_of
@@ -157,7 +158,7 @@ def _run(
         if asks_for_help(sys.argv[1:]):
             with quick_types():
                 print_help(prog, config, about, sys.argv[1:], defaults.get("default"))
-        with flag_errors_in_one_line(config), quick_types():
+        with flag_errors_in_one_line(config), quick_types(), path_flags():
             parsed = tyro.cli(config, prog=prog, description=about, config=flags, **defaults)
         refuse_empty_flags(config)
         _refuse_urls(parsed)

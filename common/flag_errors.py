@@ -64,8 +64,10 @@ def _line_of(event: Any, config: Any) -> str:
                 return f"{_name_of(event.argument)} is missing; {help_line}"
             return f"{_name_of(event.argument)}: expected {_expected(event.argument)} after it; {help_line}"
         case "InstantiationFailure" if event.argument is not None:
-            words = [_name_of(event.argument), *_words_after(event.argument)]
-            return f"{' '.join(words)}: expected {_expected(event.argument)}; {help_line}"
+            is_empty_word = event.argument.is_positional() and "" in sys.argv
+            words = ["" if is_empty_word else _name_of(event.argument), *_words_after(event.argument)]
+            shown = " ".join(word or "''" for word in words)
+            return f"{shown}: expected {_expected(event.argument)}; {help_line}"
         case "InstantiationFailure":  # a config's own ValueError, which names the flag
             return str(event.message)
     raise AttributeError(type(event).__name__)

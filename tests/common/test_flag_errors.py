@@ -8,6 +8,7 @@ import pytest
 
 from dataset.cli import main as bc_index
 from drive.cli import main as bc_drive
+from drive.doctor_cli import main as bc_doctor
 from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
@@ -35,6 +36,12 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
         (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
         (bc_index, ["--recipe", "secret"], "bc-index: --recipe secret: expected one of original, people"),
+        # an empty word, of a shell's unset variable, is not the current folder
+        (bc_record, ["a", "--from", ""], "bc-record: --from '': expected SOURCE"),
+        (bc_record, ["a", "--sessions="], "bc-record: --sessions '': expected PATH|URL"),
+        (bc_train, ["--init", "a", "--takeovers", "b", ""], "bc-train: --takeovers b '': expected LOG [LOG ...]"),
+        (bc_log, ["ls", ""], "bc-log: '': expected [FOLDER|LOG ...]"),
+        (bc_doctor, [""], "bc-doctor: '': expected [PATH]"),
         # mistyped or missing
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
         (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),
