@@ -10,7 +10,7 @@ import tyro
 
 from common import UserError
 from common.command import DONE, usage_errors, warn
-from common.errors import UsageError, counted, did_you_mean
+from common.errors import UsageError, counted, did_you_mean, first_of
 from common.location import Location
 from common.output import ask, print_message, print_next, print_result
 from recorder.log.tags import (
@@ -161,8 +161,7 @@ class NameRows:
             print_message(f"{self.log}: nothing that is surely odd; nothing was tagged")
             return tags
         if self.remove and not set(chosen) & set(tags):
-            held = ", ".join(f"{tag.name} ({rows_of(tag)})" for tag in tags) or "none"
-            raise UserError(f"{self.log}: no tag {name!r} of exactly these rows; its tags: {held}")
+            raise UserError(f"{self.log}: {_not_tagged(name, tags)}")
         notice = "" if self.remove else self._notice_of_new(name)
         if not self._is_confirmed(chosen):
             raise UserError("nothing was tagged")
@@ -176,6 +175,14 @@ class NameRows:
         if notice:
             print_message(notice)  # once it is kept
         return read_tags(self.log, fingerprint)
+
+
+def _not_tagged(name: str, tags: list[Tag]) -> str:
+    if rows := [rows_of(tag) for tag in tags if tag.name == name]:
+        return f"no tag {name!r} of exactly these rows, but of {first_of(rows)}; without rows, all are removed"
+    names = sorted({tag.name for tag in tags}) or ["none"]
+    meant = did_you_mean(name, names)
+    return f"no tag {name!r}; {meant or f'its tags: {first_of(names)}'}"
 
 
 def warn_stale(path: Location, count: int) -> int:

@@ -16,7 +16,7 @@ import pytest
 
 from common.location import Location
 from disk import files_of_at_most
-from driving import PATIENCE_S, command, environment, run
+from driving import PATIENCE_S, command, environment, one_line_in, run
 from logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
 from places import Place
 from plain_mcap import contents, plain_writer
@@ -265,6 +265,26 @@ def test_tags_are_given_listed_and_removed(
     assert capsys.readouterr().out.splitlines() == ["whole drive: rows 0 to 49"]
     assert call(main, "tag", path, "exclude", "--remove") == 1
     assert "its tags: whole drive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["good"], "no tag 'good'; its tags: bend, exclude"),
+        (["exlude"], "no tag 'exlude'; did you mean exclude?"),
+        (["bend", "--rows", "2", "9"], "these rows, but of rows 5 to 5, rows 8 to 9; without rows"),
+    ],
+    ids=["absent", "misspelt", "other rows"],
+)
+def test_a_tag_that_is_not_there_is_not_removed(
+    flags: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 50)
+    for name, first, last in (("exclude", 1, 2), ("bend", 5, 5), ("bend", 8, 9)):
+        assert call(main, "tag", path, name, "--rows", first, last) == 0
+    capsys.readouterr()
+    assert call(main, "tag", path, *flags, "--remove") == 1
+    assert said in one_line_in(capsys)
 
 
 def test_a_link_that_leads_nowhere_is_not_meant_itself(
