@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,16 @@ def test_several_logs_are_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert "drives/first.mcap and both/first.mcap: both are on this machine" in capsys.readouterr().err
     assert call(bc_log, "tag", "lake", "good", "--rows", "2", "3") == 0
     assert tags_path(Path("sessions/lake.mcap")).is_file()
+
+
+def test_what_to_type_instead_also_copies_the_tags(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(bc_log, "tag", "lake", "good", "--rows", "2", "3") == 0
+    capsys.readouterr()
+    assert call(bc_log, "copy", "lake", "drives/to day.mcap") == 1
+    said = one_line_in(capsys)
+    subprocess.run(said[said.index("`") + 1 : said.rindex("`")], shell=True, check=True)
+    assert call(bc_log, "tag", "drives/to day.mcap") == 0
+    assert capsys.readouterr().out == "good: rows 2 to 3\n"
 
 
 def test_bc_play_opens_what_is_named(capsys: pytest.CaptureFixture[str]) -> None:
