@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 from collections.abc import Sequence
@@ -65,24 +66,25 @@ def _show_or_save(config: Play, content: FinishedContent | GrowingLogContent) ->
 
 def _content(config: Play) -> FinishedContent | GrowingLogContent:
     from viz.live.live_log import find_log, is_finished
-    from viz.playback.comparison import prepare_comparison
+    from viz.playback.comparison import check_count, prepare_comparison
     from viz.playback.rerun_recording import prepare_log
     from viz.targets import FinishedContent, GrowingLogContent
 
     if len(config.logs) > 1:
-        _check_logs(config.logs)
+        check_count(config.logs)
+        _check_logs(config.logs, config.at)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return FinishedContent(lambda: prepare_comparison(config.logs, config.by, config.at), size)
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
         return GrowingLogContent(path)
-    _check_logs([path])
+    _check_logs([path], config.at)
     return FinishedContent(lambda: prepare_log(path, at_s=config.at), path.stat().st_size if path.is_file() else 0)
 
 
-def _check_logs(paths: Sequence[Path]) -> None:
-    """Raise LogError for an empty log, or a file that is not a log, before a viewer opens. Print a notice for a
-    log without CRCs."""
+def _check_logs(paths: Sequence[Path], at_s: float | None = None) -> None:
+    """Raise LogError for an empty log, or a file that is not a log, before a viewer opens; UserError if finished
+    logs are shorter than `at_s`. Print a notice for a log without CRCs."""
     from recorder import Log, LogError
     from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
     from recorder.mcap.scan import counts_no_message
@@ -96,6 +98,13 @@ def _check_logs(paths: Sequence[Path]) -> None:
         with Log(path) as log:
             if not log.has_crcs:
                 print_message(f"{path}: {WITHOUT_CRCS}")
+    if at_s is not None:
+        from viz.playback.rerun_recording import check_moment
+
+        with contextlib.ExitStack() as stack:
+            logs = [(path, stack.enter_context(Log(path))) for path in paths]
+            if not any(log.problem for _, log in logs):
+                check_moment(at_s, logs)
 
 
 def _destination(config: Play) -> Destination:
@@ -143,7 +152,7 @@ def _play_predicted(config: Play) -> int:
     for path in (config.save, config.write):
         if path is not None:
             refuse_existing(path, config.force)  # before minutes of work
-    _check_logs(config.logs)
+    _check_logs(config.logs, config.at)
     runs = [find_run(name, config.runs) for name in config.run]
     load_named(config.network, runs)
     if is_only_written:

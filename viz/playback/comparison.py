@@ -54,6 +54,12 @@ class _ComparedLog:
     clock: Clock
 
 
+def check_count(paths: Sequence[Path]) -> None:
+    """Raise UserError for too many logs."""
+    if len(paths) > MAX_LOGS:
+        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
+
+
 @contextlib.contextmanager
 def prepare_comparison(
     paths: Sequence[Path], by: By = "time", at_s: float | None = None
@@ -62,8 +68,7 @@ def prepare_comparison(
 
     Raises LogError if a log cannot be read; UserError for too many logs, or if they cannot be compared by place.
     """
-    if len(paths) > MAX_LOGS:
-        raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
+    check_count(paths)
     with contextlib.ExitStack() as stack:
         opened = [stack.enter_context(open_whole_log(path)) for path in paths]
         check_moment(at_s, zip(paths, (log for log, _ in opened), strict=True))
