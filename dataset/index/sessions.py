@@ -8,16 +8,18 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
-from common.files import session_name
+from common.files import final_path, session_name
 from common.location import Location, Url, absolute, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from dataset.index.build_state import Stat, Stats, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
-from recorder import Log
+from recorder import Log, LogError
 from recorder.errors import recovery
 from recorder.log.logs_in_folder import logs_in
+from recorder.mcap.mcap_file import McapFile
+from recorder.mcap.scan import read_summary
 
 
 def find_logs(sessions: Sequence[Location | str], folder: Location | str) -> list[Location]:
@@ -143,10 +145,19 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
 
 
 def unfinished_recordings(folder: Location, sessions: Sequence[str]) -> list[str]:
-    """A line for each unfinished recording in `folder`; with `sessions`, only for recordings of these names."""
+    """A line for each recording without its final name in `folder`; with `sessions`, only for recordings of these
+    names."""
     return [
-        f"{part}: not indexed: its recording is running or was killed; if killed, run {recovery(part)}, and"
-        " remove it"
+        f"{part}: not indexed: {_why_unnamed(part)}"
         for part in (sorted(folder.glob("*.mcap.*.part")) if isinstance(folder, Path) else ())
         if not sessions or session_name(part) in sessions
     ]
+
+
+def _why_unnamed(part: Path) -> str:
+    with contextlib.suppress(LogError), McapFile(part) as file:
+        if read_summary(file) is not None:
+            final = final_path(part)
+            name = "another NAME.mcap" if final.exists() else final.name
+            return f"its recording is finished; rename it to {name}"
+    return f"its recording is running or was killed; if killed, run {recovery(part)}, and remove it"

@@ -147,3 +147,13 @@ def test_the_command_for_an_unfinished_recording_can_be_typed(tmp_path: Path) ->
     part.touch()
     (line,) = unfinished_recordings(tmp_path, [])
     assert f"`bc-log recover '{part}'`" in line
+
+
+def test_a_finished_recording_whose_name_was_taken_is_not_recovered(tmp_path: Path) -> None:
+    first, second = (write_log(tmp_path / f"{name}.mcap", [0.1] * 9) for name in ("lake", "second"))
+    part = second.rename(tmp_path / "lake.mcap.0a1b2c.part")
+    (line,) = unfinished_recordings(tmp_path, [])
+    assert line == f"{part}: not indexed: its recording is finished; rename it to another NAME.mcap"
+    first.unlink()
+    (line,) = unfinished_recordings(tmp_path, [])
+    assert line.endswith("is finished; rename it to lake.mcap")
