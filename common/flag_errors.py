@@ -116,7 +116,7 @@ def _of_command_line(config: Any) -> Any:
 
 
 def refuse_empty_flags(config: Any) -> None:
-    """Raise UsageError for a flag `X [X ...]` without a word: tyro would use its default, which is often
+    """Raise UsageError for a flag `X [X ...]` without a word: tyro would take no value, which often means
     everything."""
     tokens = [token.replace("_", "-") for token in sys.argv[1:]]
     empty = {flag for flag, word in itertools.pairwise([*tokens, "--"]) if flag[:2] == word[:2] == "--"}
@@ -124,8 +124,9 @@ def refuse_empty_flags(config: Any) -> None:
         return
     for flag, notes in _flags_of(_of_command_line(config)):
         name = f"--{flag.name.replace('_', '-')}"
-        metavar = next((note.metavar for note in notes if getattr(note, "metavar", None)), "[")
-        needs_words = flag.default == () and not metavar.startswith("[") and tyro.conf.Positional not in notes
+        metavar = next((note.metavar for note in notes if getattr(note, "metavar", None)), "at least one word")
+        is_several = isinstance(flag.default, tuple) and tyro.conf.Positional not in notes
+        needs_words = is_several and not metavar.startswith("[")
         if needs_words and name in empty:
             raise UsageError(f"{name}: expected {metavar} after it")
 

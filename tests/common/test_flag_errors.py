@@ -27,6 +27,8 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
         (bc_train, ["--on"], "bc-train: --on: expected SESSION [SESSION ...] after it"),
         (bc_train, ["--init", "a", "--takeovers", "--name", "b"], "bc-train: --takeovers: expected LOG [LOG ...]"),
+        (bc_train, ["--alter-each-epoch", "--epochs", "2"], "bc-train: --alter-each-epoch: expected at least one"),
+        (bc_index, ["--alter"], "bc-index: --alter: expected at least one word after it"),
         (bc_index, ["a", "--validation", "--no-flip"], "bc-index: --validation: expected SESSION [SESSION ...]"),
         (bc_train, ["--epochs=two"], "bc-train: --epochs two: expected a whole number"),
         (bc_record, ["a", "--laps", "two"], "bc-record: --laps two: expected a number"),
