@@ -33,6 +33,14 @@ def prepare_to_drive() -> None:
     gc.freeze()
 
 
+def usable_cores() -> int:
+    """The number of processor cores that this process may use: a container or `taskset` may allow fewer than the
+    machine has."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def allow_open_files(count: int) -> None:
     """Raise the limit on open files, which is often 1,024, to allow `count` files, as far as the system
     permits."""

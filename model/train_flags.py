@@ -8,16 +8,21 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import tyro
 
-from common.errors import UsageError
+from common.errors import UsageError, counted
 from common.location import Url, is_in_store, location
 from common.location_flag import LocationFlag
+from common.process_settings import usable_cores
 from common.recipe import recipe_given
 from model.config import TrainConfig
 from model.runs.run_arguments import RUNS
+
+_MOST_PER_CORE: Final = 16
+"""Threads for each core. A run of a larger machine may be resumed with its number of threads, on which rounding
+depends."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,9 @@ def refuse_contradictions(config: Train) -> None:
         raise UsageError("--on, --takeovers: give one of them")
     if isinstance(config.runs, Url) and config.copy_to is not None:
         raise UsageError(f"--runs {config.runs}: already copies the run to this URL: leave out --copy-to")
+    if config.config.threads and config.config.threads > _MOST_PER_CORE * (cores := usable_cores()):
+        most = f"at most {_MOST_PER_CORE * cores}, as this process has {counted(cores, 'core')}"
+        raise UsageError(f"--threads {config.config.threads}: expected {most}; more are slower")
     if Path(config.name).name != config.name or config.name.startswith((".", "-")):
         raise UsageError(f"--name {config.name!r}: expected a plain name; give the folder with --runs")
 

@@ -17,6 +17,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from common.car import Camera
+from common.process_settings import usable_cores
 from dataset import IndexConfig, build_index
 from disk import files_of_at_most
 from driving import one_line_in
@@ -203,6 +204,7 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
         (["--alter-each-epoch", "move", "move"], "--alter-each-epoch move move: expected each once"),
         (["--takeovers", "drives/run.mcap"], "--takeovers continues a run: give it with --init RUN"),
         (["--init", "first", "--on", "lake", "--takeovers", "a.mcap"], "--on, --takeovers: give one of them"),
+        (["--threads", 16 * usable_cores() + 1], f"--threads {16 * usable_cores() + 1}: expected"),
         (["--name", "a/b"], "--name 'a/b': expected a plain name"),
         (["--name=-x"], "--name '-x': expected a plain name"),  # `bc-drive -x` would take it for a flag
     ],
