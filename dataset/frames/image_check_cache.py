@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from common import atomic_file
 from common.car import CAMERAS, Camera
 from common.location import Location
+from common.process_settings import usable_cores
 from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
@@ -55,7 +55,7 @@ def check_images(
     from recorder.seen.steering_against_pictures import against_pictures  # OpenCV
 
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or usable_cores()) as pool:
         check = ImageCheck(pool, on_decoded)
         for camera, row, time_ns, offset, length, chunk in _in_order_of_the_file(log):
             check.add(topics[camera], row, time_ns, log.read(offset, length, chunk))

@@ -7,7 +7,6 @@ Any number of threads may use this at the same time; OpenCV releases Python's lo
 from __future__ import annotations
 
 import contextlib
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import CAMERAS
+from common.process_settings import usable_cores
 from dataset.augment import alter
 from dataset.errors import UnusablePictureError
 from dataset.frames.distinct_rows import number_distinct
@@ -44,7 +44,7 @@ without a picture."""
 
 def decoding_threads() -> int:
     """The number of threads that decode pictures by default."""
-    return min(os.cpu_count() or 1, _MOST_THREADS)
+    return min(usable_cores(), _MOST_THREADS)
 
 
 def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 from common.location import Location
+from common.process_settings import usable_cores
 from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
@@ -71,7 +71,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
     fine = fine_rows(path)
     with McapFile(path) as file:
         structure = read_structure(file)
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with ThreadPoolExecutor(usable_cores()) as pool:
             contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours, fine=fine)
             chunks = sound_chunks(file, structure, damage)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):

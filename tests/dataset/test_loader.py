@@ -38,7 +38,7 @@ from dataset import (
 )
 from dataset.augment import alter
 from dataset.preprocessing import Image
-from driving import environment
+from driving import environment, run_code
 from logs import plain_read, write_log
 from places import Place
 from udacity import jpeg
@@ -498,3 +498,15 @@ def test_no_index_says_how_to_build_one(tmp_path: Path) -> None:
     for opened in (load, SamplesDataset):
         with pytest.raises(DatasetError, match=r"no index; .*build it with `bc-index"):
             opened(tmp_path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a process has all cores there")
+def test_threads_are_as_many_as_the_cores_that_may_be_used() -> None:
+    """A container or taskset allows fewer than the machine has."""
+    code = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from dataset.loader.crops import decoding_threads
+print(decoding_threads())
+"""
+    assert run_code(code).stdout == "1\n"
