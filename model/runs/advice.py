@@ -109,8 +109,8 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"
     if not numbers.is_built_in:
         return Advice(small, numbers.drive_command)
-    tracks = "lake mountain" if not driven else "random:1 random:2"
-    why = small if not driven else "it needed no intervention on the roads it has driven"
+    tracks = "random:1 random:2" if numbers.has_driven_a_lap else "lake mountain"
+    why = small if not numbers.has_driven_a_lap else "it needed no intervention on the roads it has driven"
     return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")
 
 

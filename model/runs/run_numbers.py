@@ -64,6 +64,10 @@ class StoredCounts(msgspec.Struct):
     not_measured: int | None = None
 
 
+A_WHOLE_LAP: Final = 0.99
+"""A drive may end one message before the line."""
+
+
 class StoredSettings(msgspec.Struct):
     flip: bool = True
     cameras: tuple[str, ...] = ("center", "left", "right")
@@ -121,6 +125,13 @@ class RunNumbers:
         may have other bends."""
         measured = self.measured if not self.is_unseen or self.kept is None else self.kept.measures
         return measured.bins if measured is not None else ()
+
+    @property
+    def has_driven_a_lap(self) -> bool:
+        """True if the drives make a lap or more together, or if one did not count laps."""
+        laps = [drive.get("laps") for drive in self.drives]
+        numbers = [of_one for of_one in laps if isinstance(of_one, int | float)]
+        return bool(laps) and (len(numbers) < len(laps) or sum(numbers) >= A_WHOLE_LAP)
 
     @property
     def is_built_in(self) -> bool:

@@ -16,14 +16,12 @@ from common.errors import counted, decimal
 from model.metrics import Measures
 from model.runs.advice import FEW_FRAMES, Advice, advice
 from model.runs.enough_to_drive import Drivable
-from model.runs.run_numbers import RunNumbers
+from model.runs.run_numbers import A_WHOLE_LAP, RunNumbers
 
 OF_THE_MEAN: Final = 2.0
 """The driving error of always predicting the mean."""
 NO_BETTER: Final = "no better"
 UNKNOWN: Final = "unknown"
-_A_WHOLE_LAP: Final = 0.99
-"""A drive may end one message before the line."""
 _UNKNOWN: Final = Drivable(None, "")
 
 
@@ -53,7 +51,7 @@ class Verdict:
     drivable: Drivable
     advice: Advice
     driven: str = ""  # how the network drove; takes precedence over the prediction from its errors
-    interventions: int | None = None  # in these drives; None without a drive
+    interventions: int | None = None  # in these drives; None without a drive, or without any in a part of a lap
     has_crashes: bool = False  # the rows may include crashes
     frames: int = FEW_FRAMES  # that were measured
     is_measurable: bool = False  # frames are held out, but no epoch has ended
@@ -127,7 +125,7 @@ def verdict_of(numbers: RunNumbers) -> Verdict:
         judged or _UNKNOWN,
         advice(numbers),
         driven,
-        interventions,
+        interventions if interventions or numbers.has_driven_a_lap else None,
         numbers.has_crashes,
         frames,
         is_measurable=bool(numbers.recordings) and not numbers.epochs,
@@ -138,7 +136,7 @@ def part_of_laps(drives: Sequence[Mapping[str, Any]]) -> str:
     """The laps of some drives together, "0.03 laps"; empty if each is whole, or if one is unknown."""
     laps: list[Any] = [drive.get("laps") for drive in drives]
     is_known = all(isinstance(of_one, int | float) and of_one >= 0 for of_one in laps)
-    return f"{sum(laps):.2f} laps" if is_known and min(laps) < _A_WHOLE_LAP else ""
+    return f"{sum(laps):.2f} laps" if is_known and min(laps) < A_WHOLE_LAP else ""
 
 
 def _compared_with_mean(measured: Measures) -> tuple[ComparedError, ...]:

@@ -376,6 +376,16 @@ def test_a_part_of_a_lap_is_no_driven_track(laps: tuple[float, ...], said: str) 
     assert f"{said} with 0 interventions" in verdict_of(numbers(drives=drives)).summary
 
 
+def test_a_clean_part_of_a_lap_shows_no_more_than_the_errors() -> None:
+    part = {"track": "lake", "set_speed_mph": 10.0, "interventions": 0}
+    for laps, in_short, track in ((0.02, "perhaps", "lake"), (1.0, "drives", "random:1")):
+        run = numbers(epochs=ENDED, drives=({**part, "laps": laps},))
+        assert verdict_of(run).in_short == in_short
+        assert advice(run).command.split()[:4] == ["bc-eval", "first", "--simulator", track]
+    failed = {**part, "laps": 0.02, "interventions": 1}
+    assert verdict_of(numbers(epochs=ENDED, drives=(failed,))).in_short == "leaves the road"
+
+
 def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) -> None:
     """Without the mean's balanced error there is no driving error, until bc-eval measures it."""
 
