@@ -47,6 +47,40 @@ def test_ctrl_c_while_a_command_is_loaded_is_one_line(name: str, at: int) -> Non
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{name}: stopped\n")
 
 
+INTERRUPTED_NUMPY = """
+import os, signal, sys
+import behavioural_cloning_toolkit
+
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == "numpy.matrixlib":
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupting())
+getattr(behavioural_cloning_toolkit, sys.argv.pop(1))()
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "flags"),
+    [
+        ("bc_train", ["--epochs", "1"]),
+        ("bc_train", ["export", "first", "--onnx"]),
+        ("bc_play", ["a.mcap", "--run", "first", "--save", "a.rrd"]),
+        ("bc_eval", ["first"]),
+        ("bc_drive", ["first"]),
+    ],
+)
+def test_ctrl_c_while_numpy_is_loaded_is_not_lost(name: str, flags: list[str], tmp_path: Path) -> None:
+    """PyTorch's own code drops what is raised while it imports NumPy: the command would go on without NumPy."""
+    write_log(tmp_path / "a.mcap", [0.1, 0.2])
+    line = [sys.executable, "-c", INTERRUPTED_NUMPY, name, *flags]
+    done = subprocess.run(line, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
+    prog = " ".join([name.replace("_", "-"), *(flags[:1] if flags[0] == "export" else [])])
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{prog}: stopped\n")
+
+
 def test_a_command_under_nohup_does_not_hear_a_terminal_that_is_closed() -> None:
     code = (
         "import behavioural_cloning_toolkit, os, signal, sys\n"

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy  # noqa: F401  # before PyTorch, whose own import of NumPy drops a Ctrl-C
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
