@@ -95,7 +95,7 @@ def _measures_table(evaluation: Evaluation) -> Table:
     table.add_row("balanced RMSE", *(_number(shown(balanced[name])) for name in predictors))
     table.add_row("correlation", *(_number(errors.correlation) for errors in predictors.values()))
     reaction = evaluation.reaction_time
-    if reaction is not None and reaction.correlation >= measures.network.correlation + LATER_BY:
+    if reaction is not None and reaction.correlation >= reaction.at_once + LATER_BY:
         table.add_row(f"{reaction.delay_s:.2f} s later", _number(reaction.correlation), "-", "-")
     if (others := evaluation.without_crashes) is not None:
         heading = f"RMSE without crashes ({evaluation.crashes:,})"

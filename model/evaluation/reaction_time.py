@@ -29,10 +29,11 @@ _PAUSE_NS: Final = 1_000_000_000
 
 @dataclass(frozen=True)
 class ReactionTime:
-    """The delay with the largest correlation between a network's answers and the steering recorded later."""
+    """The delay that most raises the correlation between a network's answers and the recorded steering."""
 
     delay_s: float  # mean over frames
     correlation: float  # -1..1, at this delay
+    at_once: float  # the correlation of the same frames without a delay
 
 
 def reaction_time(frames: pa.Table) -> ReactionTime | None:
@@ -41,7 +42,9 @@ def reaction_time(frames: pa.Table) -> ReactionTime | None:
     None if the answers or the steering are constant, or if the correlation still grows at the largest delay.
     """
     sessions = [part.sort_by("log_time_ns") for _, part in by_session(frames)]
-    predicted = np.concatenate([part["predicted"].to_numpy() for part in sessions])
+    predicted, recorded = (
+        np.concatenate([part[name].to_numpy() for part in sessions]) for name in ("predicted", "recorded")
+    )
     delays = []
     for delay_s in DELAYS_S:
         later, after_s = np.concatenate([_steering_later(part, delay_s) for part in sessions], axis=1)
@@ -50,10 +53,13 @@ def reaction_time(frames: pa.Table) -> ReactionTime | None:
             break
         if delay_s and not after_s[is_known].any():
             continue  # shorter than half a step: fewer frames than at 0, but none later
-        correlation = errors(predicted[is_known], later[is_known]).correlation
-        delays.append(ReactionTime(float(after_s[is_known].mean()), correlation))
-    defined = [delay for delay in delays if not math.isnan(delay.correlation)]
-    best = max(defined, key=lambda delay: delay.correlation, default=None)
+        # the last frames before a pause have no later steering: without them, another correlation at once, too
+        correlation, at_once = (
+            errors(predicted[is_known], steering[is_known]).correlation for steering in (later, recorded)
+        )
+        delays.append(ReactionTime(float(after_s[is_known].mean()), correlation, at_once))
+    defined = [delay for delay in delays if not math.isnan(delay.correlation - delay.at_once)]
+    best = max(defined, key=lambda delay: delay.correlation - delay.at_once, default=None)
     return None if best is not None and 0 < best.delay_s == defined[-1].delay_s else best
 
 

@@ -78,6 +78,18 @@ def test_no_steering_is_taken_from_the_next_drive() -> None:
     assert found.correlation == pytest.approx(1.0)
 
 
+def test_frames_without_later_steering_give_no_delay() -> None:
+    """Drives of 1 s, each steered constantly, with a wrong answer at the end: later, only right ones are left."""
+    drive = np.arange(60) // 10
+    bends = np.array([0.3, -0.3, 0.1, -0.1, 0.2, -0.2])[drive]
+    wrong = np.where(np.arange(60) % 10 == 9, -bends, bends)
+    table = frames(wrong, bends)
+    apart = table.set_column(1, "log_time_ns", pa.array(table["log_time_ns"].to_numpy() + 5_000_000_000 * drive))
+    found = reaction_time(apart)
+    assert found is not None
+    assert (found.delay_s, found.correlation) == (0.0, found.at_once)
+
+
 def test_a_correlation_that_still_grows_gives_no_reaction_time() -> None:
     assert reaction_time(frames(PRESSES[7:], PRESSES[:-7])) is None  # 0.7 s late
 
