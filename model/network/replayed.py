@@ -83,28 +83,35 @@ def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Calla
     Raises RuntimeError, or what `calculate` raises, if it cannot be recorded. The GPU stays usable.
     """
     graph, pool = torch.cuda.CUDAGraph(), torch.cuda.graph_pool_handle()
-    generator = torch.cuda.default_generators[device.index]
-    random_state = generator.graphsafe_get_state()
-    generator.graphsafe_set_state(generator.clone_state())  # a failed recording leaves it unusable
-    with torch.cuda.device(device):
+    with torch.cuda.device(device), usable_if_failed(graph, pool, device):
         stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
         stream.wait_stream(torch.cuda.current_stream())
-        try:
-            with torch.cuda.stream(stream):  # a failed recording leaves its stream the current one
-                with _waiting_raises():
-                    for _ in range(_CALLS_BEFORE):
-                        calculate()
-                with torch.cuda.graph(graph, pool=pool, stream=stream):
-                    answers = calculate()
-        except Exception:
-            _failed.append(graph)
-            with contextlib.suppress(RuntimeError):  # the recording may have ended already
-                torch._C._cuda_endAllocateToPool(device.index, pool)
-            raise
-        finally:
-            generator.graphsafe_set_state(random_state)
-            torch.cuda.synchronize()
+        with torch.cuda.stream(stream):
+            with _waiting_raises():
+                for _ in range(_CALLS_BEFORE):
+                    calculate()
+            with torch.cuda.graph(graph, pool=pool, stream=stream):
+                answers = calculate()
     return graph.replay, answers
+
+
+@contextlib.contextmanager
+def usable_if_failed(graph: torch.cuda.CUDAGraph, pool: tuple[int, int], device: torch.device) -> Iterator[None]:
+    """If recording `graph` in this block fails, leave the GPU usable. `pool` is the graph's memory."""
+    stream, generator = torch.cuda.current_stream(device), torch.cuda.default_generators[device.index]
+    random_state = generator.clone_state()
+    try:
+        yield
+    except Exception:
+        _failed.append(graph)
+        torch.cuda.set_stream(stream)  # a failed recording leaves its stream the current one,
+        generator.graphsafe_set_state(random_state)  # and its random state unusable
+        with contextlib.suppress(RuntimeError):  # the recording may have ended already
+            torch._C._cuda_endAllocateToPool(device.index, pool)
+        graph.reset()  # frees its memory if the recording had ended
+        raise
+    finally:
+        torch.cuda.synchronize()
 
 
 def exactly(device: torch.device) -> contextlib.AbstractContextManager[object]:

@@ -6,16 +6,21 @@ of `original` took 8.7 instead of 4.1 ms.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Final
 
 import torch
 from torch import Tensor
 
+from common.named_function import in_one_line
 from model.adam import Adam
 from model.device import Machine
 from model.network.picture_network import PictureNetwork
+from model.network.replayed import usable_if_failed
 from model.training.step import training_step
+
+_LOGGER: Final = logging.getLogger(__name__)
 
 _STEPS_BEFORE: Final = 3
 """Steps before the recording: libraries initialise themselves in the first ones, and Adam creates its state."""
@@ -54,7 +59,13 @@ class TrainingSteps:
             self._taken += 1
             if self._taken <= _STEPS_BEFORE:
                 return self._take(pictures, labels, batch)
-            self._recorded = self._record(pictures, labels)
+            try:
+                self._recorded = self._record(pictures, labels)
+            except Exception as error:  # it holds the memory of the recording until the block ends
+                self._can_record = False
+                _LOGGER.warning("the GPU records no training step (%s), so training is slower", in_one_line(error))
+        if self._recorded is None:
+            return self._take(pictures, labels, batch)
         return self._recorded(pictures, labels)
 
     def _take(self, pictures: Tensor, labels: Tensor, batch: int) -> Tensor:
@@ -87,11 +98,14 @@ class TrainingSteps:
 
 def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
     """Record a calculation on the GPU `device` without running it. Returns a function that runs it, and the tensor
-    that then holds its result."""
-    graph = torch.cuda.CUDAGraph()
+    that then holds its result. Raises RuntimeError, or what `calculate` raises, if it cannot be recorded. The GPU
+    stays usable."""
+    graph, pool = torch.cuda.CUDAGraph(), torch.cuda.graph_pool_handle()
     with (
         torch.cuda.device(device),  # on another GPU, nothing would be recorded, and no error raised
-        torch.cuda.graph(graph, capture_error_mode="thread_local"),  # other threads may use the GPU meanwhile
+        usable_if_failed(graph, pool, device),
+        # other threads may use the GPU meanwhile
+        torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"),
     ):
         result = calculate()
     return graph.replay, result

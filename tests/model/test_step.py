@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
+import re
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -159,15 +160,20 @@ def test_wide_convolutions_see_what_the_layers_of_the_network_see(pictures: int)
     torch.testing.assert_close(features.with_wider_convolutions(inputs), features(inputs))
 
 
-def steps_taken(monkeypatch: pytest.MonkeyPatch, *, can_record: bool) -> tuple[list[float], Tensor, int]:
+def steps_taken(
+    monkeypatch: pytest.MonkeyPatch, *, can_record: bool, error: Exception | None = None
+) -> tuple[list[float], Tensor, int]:
     """Squared errors and last weights of seven batches, the third and the last one smaller; and how many times a
-    step was recorded. A processor takes the place of the GPU: it calculates what the GPU would replay."""
+    step was recorded. A processor takes the place of the GPU: it calculates what the GPU would replay. A recording
+    raises `error`."""
     recorded: list[Tensor] = []
 
     def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
         assert device == machine.device
         result = torch.zeros(())
         recorded.append(result)
+        if error is not None:
+            raise error
 
         def replay() -> None:
             result.copy_(calculate())
@@ -195,22 +201,63 @@ def test_replayed_steps_learn_what_single_ones_learn(monkeypatch: pytest.MonkeyP
     assert torch.equal(weights, learnt)
 
 
-def test_a_step_is_recorded_on_the_gpu_that_trains(monkeypatch: pytest.MonkeyPatch) -> None:
-    """PyTorch's current GPU may be another one. There, PyTorch would record nothing and raise no error."""
-    current, recording = [torch.device("cuda:1")], []
+@pytest.mark.parametrize("error", [torch.OutOfMemoryError("CUDA out of memory.\nTried ..."), TypeError()])
+def test_a_step_that_cannot_be_recorded_is_learnt_all_the_same(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    errors, weights, tried = steps_taken(monkeypatch, can_record=True, error=error)
+    (line,) = caplog.messages
+    assert re.fullmatch(r"the GPU records no training step \(\w*Error.*\), so training is slower", line)
+    expected, learnt, _ = steps_taken(monkeypatch, can_record=False)
+    assert tried == 1
+    assert errors == expected
+    assert torch.equal(weights, learnt)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_step_is_recorded_on_the_gpu_that_trains(fails: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyTorch's current GPU may be another one. There, PyTorch would record nothing and raise no error. A failed
+    recording leaves another stream current, and random numbers that nothing may draw."""
+    current, recording, stream, reset = [torch.device("cuda:1")], [], ["first"], []
+    generator = torch.Generator()
+    drawn = generator.get_state()
 
     @contextlib.contextmanager
     def made_current(device: torch.device) -> Iterator[None]:
         current.append(device)
-        yield
-        current.pop()
+        try:
+            yield
+        finally:
+            current.pop()
 
-    def graph(graph: object, **settings: str) -> contextlib.AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def graph(graph: object, **settings: object) -> Iterator[None]:
         recording.append(current[-1])
-        return contextlib.nullcontext()
+        yield
 
-    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: SimpleNamespace(replay=lambda: None))
+    def calculate() -> Tensor:
+        if fails:
+            torch.rand(3, generator=generator)
+            stream.append("recording")
+            raise RuntimeError("operation not permitted when stream is capturing")
+        return torch.ones(())
+
+    kept = SimpleNamespace(replay=lambda: None, reset=lambda: reset.append(True))
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: kept)
+    monkeypatch.setattr(torch.cuda, "graph_pool_handle", lambda: (0, 1))
+    graphsafe = SimpleNamespace(clone_state=generator.get_state, graphsafe_set_state=generator.set_state)
+    monkeypatch.setattr(torch.cuda, "default_generators", (graphsafe,))
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: stream[-1])
+    monkeypatch.setattr(torch.cuda, "set_stream", stream.append)
+    monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
+    monkeypatch.setattr(torch._C, "_cuda_endAllocateToPool", lambda device, pool: None, raising=False)
     monkeypatch.setattr(torch.cuda, "device", made_current)
     monkeypatch.setattr(torch.cuda, "graph", graph)
-    _, result = training_steps.record(lambda: torch.ones(()), torch.device("cuda:0"))
-    assert (float(result), recording, current) == (1, [torch.device("cuda:0")], [torch.device("cuda:1")])
+    if fails:
+        with pytest.raises(RuntimeError, match="not permitted"):
+            training_steps.record(calculate, torch.device("cuda:0"))
+    else:
+        assert float(training_steps.record(calculate, torch.device("cuda:0"))[1]) == 1
+    assert (recording, current) == ([torch.device("cuda:0")], [torch.device("cuda:1")])
+    assert (stream[-1], reset) == ("first", [True] * fails)
+    assert torch.equal(generator.get_state(), drawn)
