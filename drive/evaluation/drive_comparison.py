@@ -51,7 +51,8 @@ class DriveComparison:
     def _sums(self) -> tuple[Floats, Floats]:
         """The sums of A and of B, (stretches, K) each, over the stretches of road that either has driven."""
         a, b = (_sums_of_tracks(drives) for drives in (self.a, self.b))
-        is_driven = (a[:, 0] > 0) | (b[:, 0] > 0)
+        # rounding puts a car at the start a hair before the line: its first messages, 1 ns apart, drive no stretch
+        is_driven = np.maximum(a[:, 0], b[:, 0]) > 1e-3
         return a[is_driven], b[is_driven]
 
     @property

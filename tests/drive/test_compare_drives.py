@@ -29,21 +29,27 @@ PUT_BACK = "off the road, or stuck: the simulator put the car back"
 
 
 def drive(
-    path: Path, offset: Callable[[float], float], put_back_m: tuple[float, ...] = (), gave_up: bool = False
+    path: Path,
+    offset: Callable[[float], float],
+    put_back_m: tuple[float, ...] = (),
+    gave_up: bool = False,
+    length_m: float = LAKE.line.length_m,
 ) -> DriveResult:
     """The log of a lap of the lake at 5 m/s, so far to the left of the centre line (a share of the half width, at
-    an arc length in m), and put back at these."""
-    time_ns, waiting = 0, sorted(put_back_m)
+    an arc length in m), and put back at these. Its first two messages are of one moment, a hair before the line,
+    as those of the simulator."""
+    moving = [(row * STEP_NS, float(row)) for row in range(1, int(length_m))]
+    waiting = sorted(put_back_m)
     with LogWriter(path, {"source": "test"}) as writer:
-        for row in range(int(LAKE.line.length_m)):
-            time_ns = row * STEP_NS
-            place = LAKE.line.at(float(row))
-            off_m = offset(row) * float(LAKE.half_width_m[round(row / LAKE.line.step_m) % len(LAKE.half_width_m)])
+        for row, (time_ns, arc_m) in enumerate([(0, -1e-6), (1, -1e-6), *moving]):
+            place = LAKE.line.at(arc_m)
+            at = round(arc_m / LAKE.line.step_m) % len(LAKE.half_width_m)
+            off_m = offset(arc_m) * float(LAKE.half_width_m[at])
             x_m = place.x_m - off_m * math.sin(place.heading_rad) - AXLE_TO_CENTRE_M * math.cos(place.heading_rad)
             y_m = place.y_m + off_m * math.cos(place.heading_rad) - AXLE_TO_CENTRE_M * math.sin(place.heading_rad)
             pose = Pose(x_m, y_m, place.z_m, place.heading_rad, 0.05, -0.1)
             writer.pose(time_ns, row, pose_message(pose, time_ns))
-            while waiting and waiting[0] <= row:
+            while waiting and waiting[0] <= arc_m:
                 waiting.pop(0)
                 writer.event(time_ns, PUT_BACK, "INFO", "drive")
     return DriveResult(BuiltInSimulator("lake"), DriveConfig(), path, {"gave_up": gave_up, "track": "lake"})
@@ -75,6 +81,12 @@ def test_a_second_speed_is_no_other_road(good: DriveResult, tmp_path: Path) -> N
     once, twice = (DriveComparison("a", "b", [good] * speeds, [wide] * speeds) for speeds in (1, 2))
     assert once.stretches == twice.stretches
     assert once.as_dict()["measures"]["mean_offset"] == twice.as_dict()["measures"]["mean_offset"]
+
+
+def test_only_stretches_of_the_driven_road_count(tmp_path: Path) -> None:
+    """195 m are four stretches of some 50 m. The moment before the line is none."""
+    short = drive(tmp_path / "short.mcap", lambda arc_m: 0.1, length_m=195.0)
+    assert DriveComparison("a", "b", [short], [short]).stretches == 4
 
 
 def test_one_intervention_may_be_chance_and_ten_elsewhere_are_not(good: DriveResult, tmp_path: Path) -> None:
