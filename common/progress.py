@@ -82,7 +82,7 @@ def progress_bar() -> Progress:
 
 
 @contextlib.contextmanager
-def progress_task(bar: Progress, name: str, total: int, completed: int = 0) -> Iterator[Advance]:
+def progress_task(bar: Progress, name: str, total: int | None, completed: int = 0) -> Iterator[Advance]:
     """Show a line of `bar` while the block runs. `completed` of the `total` steps are already done."""
     task = bar.add_task(name, total=total, completed=completed, note="")
 

@@ -6,7 +6,6 @@ import contextlib
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -48,28 +47,23 @@ class CopyLogs:
 
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
     """Copy logs and folders of logs, also after a failure; the worst of the exit codes."""
-    from common.progress import progress_bar
+    from common.progress import progress_bar, progress_task
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     pairs = _pairs(places, to)
     codes = [DONE]
-    with progress_bar() as progress:
+    with progress_bar() as bar:
         for number, (log, target) in enumerate(pairs, start=1):
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
-            task = progress.add_task(f"copying {log.name}{of_many}, bytes", total=None, note="")
             try:
-                progress.update(task, total=size_of(log))
-                done = copy_log(
-                    log, target, overwrite=overwrite, keeps_damaged=True, on_bytes=partial(progress.advance, task)
-                )
+                with progress_task(bar, f"copying {log.name}{of_many}, bytes", size_of(log)) as advance:
+                    done = copy_log(log, target, overwrite=overwrite, keeps_damaged=True, on_bytes=advance)
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
                 continue
             except Exception as error:
                 codes.append(print_error(prog, as_user_error(log, error)))
                 continue
-            finally:
-                progress.remove_task(task)
             is_there = "" if done.is_new else ", was there already"
             print_result(f"{done.place}: {done.size / 1e6:,.1f} MB{is_there}")
             if done.notice:
@@ -116,7 +110,7 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
     `copy_log`."""
     import tempfile
 
-    from common.progress import progress_bar
+    from common.progress import progress_bar, progress_task
     from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
@@ -126,9 +120,9 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
                 copies.append(place)
                 continue
             copy = Path(folder) / str(number) / place.name
-            with progress_bar() as progress:
-                task = progress.add_task(f"copying {place.name}, bytes", total=size_of(place), note="")
-                done = copy_log(place, copy, on_bytes=partial(progress.advance, task))
+            about = f"copying {place.name}, bytes"
+            with progress_bar() as bar, progress_task(bar, about, size_of(place)) as advance:
+                done = copy_log(place, copy, on_bytes=advance)
             if done.notice:
                 print_message(done.notice)
             copies.append(copy)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from common import Skipped, UserError
 from common.car import CAMERAS, Camera
 from common.files import new_folder
 from common.location import Location
-from common.progress import progress_bar
+from common.progress import Advance, progress_bar, progress_task
 from recorder.errors import LogError
 from recorder.lerobot import dataset_format as form
 from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
@@ -82,9 +82,12 @@ def export_lerobot(
     with new_folder(folder) as part, _refused(folder):
         plan = plan_export(paths, chosen, cameras)
         about = {"has_speed": plan.has_speed, "is_video": is_video, "has_split": chosen is not None}
-        with DatasetFiles(part, plan.fps, **about) as files, progress_bar() as progress:
-            bar = progress.add_task(f"exporting to {folder.name}", total=plan.rows, note="")
-            export = _Export(plan, files, task, lambda: progress.advance(bar))
+        with (
+            DatasetFiles(part, plan.fps, **about) as files,
+            progress_bar() as bar,
+            progress_task(bar, f"exporting to {folder.name}", plan.rows) as advance,
+        ):
+            export = _Export(plan, files, task, advance)
             for path in paths:
                 with Log(path) as log:
                     export.add(log, None if chosen is None else chosen[path])
@@ -107,8 +110,7 @@ def export_lerobot(
 class _Export:
     """The episodes written until now, and their statistics."""
 
-    def __init__(self, plan: ExportPlan, files: DatasetFiles, task: str, advance: Callable[[], object]) -> None:
-        """Calls `advance` for every row."""
+    def __init__(self, plan: ExportPlan, files: DatasetFiles, task: str, advance: Advance) -> None:
         self._plan, self._files, self._task, self._advance = plan, files, task, advance
         self.skipped = Skipped()
         self.episodes = self.frames = 0
@@ -153,7 +155,7 @@ class _Export:
         waiting: list[list[bytes]] = []  # pictures of the last kept rows, not written yet
         waiting_bytes = 0
         for number in rows:
-            self._advance()
+            self._advance(1)
             # an episode with unusable first pictures needs a sample, too
             is_sampled = number in sampled_rows or not kept
             encoded = pictures.read(number)

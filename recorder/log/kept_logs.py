@@ -18,7 +18,7 @@ from common.errors import UsageError, UserError
 from common.files import PART_SUFFIX, atomic_file
 from common.locks import lock, try_lock
 from common.output import print_message
-from common.progress import progress_bar
+from common.progress import progress_bar, progress_task
 from common.users_cache import users_cache
 from recorder.log.reader import Log
 
@@ -70,13 +70,13 @@ def _copy_of(log: Log) -> Path:
 
 
 def _fetch(logs: Sequence[Log]) -> None:
-    with progress_bar() as progress:
-        task = progress.add_task("fetching logs, bytes", total=sum(log.size for log in logs), note="")
+    size = sum(log.size for log in logs)
+    with progress_bar() as bar, progress_task(bar, "fetching logs, bytes", size) as advance:
         for log in logs:
             with atomic_file(_copy_of(log), overwrite=True) as part, part.open("wb") as stream:
                 for data in log.all_bytes():
                     stream.write(data)
-                    progress.advance(task, len(data))
+                    advance(len(data))
             log.read_from(_copy_of(log))
 
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.progress import progress_bar
+from common.progress import progress_bar, progress_task
 from common.stretches import stretches, within
 from recorder.rows.odd_stretches import OddStretch, stretch_of
 from recorder.rows.row_quality import STANDING_MPH, States, Values, elapsed_s
@@ -34,9 +34,9 @@ _STILL: Final = 0.5  # share of the session's spread of turning; with constant s
 def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) -> list[OddStretch]:
     """The odd stretches `odd` of a log's rows, and those that its centre camera's pictures show. Decodes all of
     them."""
-    with progress_bar() as bar:
-        task = bar.add_task("comparing steering with pictures", total=len(states.row), note="")
-        against = against_pictures(log, states, partial(bar.advance, task))
+    about = "comparing steering with pictures"
+    with progress_bar() as bar, progress_task(bar, about, len(states.row)) as advance:
+        against = against_pictures(log, states, advance)
     why = "the car turns the other way"
     shown = [
         replace(stretch_of(states, first, last, "steering_against_pictures", why, is_sure=True), is_shown=True)
