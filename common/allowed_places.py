@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterable
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
@@ -50,7 +51,7 @@ class AllowedPlaces:
     def __init__(self, holder: Location, *projects: Location) -> None:
         self._projects = [*map(absolute, projects)]
         self._folders = [absolute(place) for place in (*_BY_DEFAULT, *_named, *map(location, _recorded(holder)))]
-        self._holds: dict[Path, bool] = {}
+        self._folder_outside = cache(self._path_outside)
 
     def __contains__(self, place: Location) -> bool:
         return self.outside(place) is None
@@ -62,14 +63,9 @@ class AllowedPlaces:
             return None if self._is_below(place) else place
         if "\0" in str(place):
             return place
-        if place.name != ".." and self._holds_folder(place.parent) and not place.is_symlink():
+        if place.name != ".." and self._folder_outside(place.parent) is None and not place.is_symlink():
             return None
         return self._path_outside(place)
-
-    def _holds_folder(self, folder: Path) -> bool:
-        if folder not in self._holds:
-            self._holds[folder] = self._path_outside(folder) is None
-        return self._holds[folder]
 
     def _path_outside(self, path: Path) -> Path | None:
         by_text = Path(os.path.abspath(path))  # noqa: PTH100 - it follows no link

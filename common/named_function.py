@@ -21,14 +21,12 @@ def load_function(flag: str, name: str) -> Callable[..., Any]:
     place, _, function = name.rpartition(":")
     if not place or not function.isidentifier():
         raise UsageError(f"{flag} {name}: expected module:function or FILE.py:function")
-    names = (
-        _names_of_file(flag, name, Path(place)) if place.endswith(".py") else _names_of_module(flag, name, place)
-    )
+    names = _names_in(place, f"{flag} {name}: ")
     loaded: Callable[..., Any] | None = names.get(function)
     if not callable(loaded):
         functions = [other for other, value in names.items() if callable(value) and not other.startswith("_")]
-        meant = did_you_mean(function, functions)
-        raise UserError(f"{flag} {name}: no function {function} in {place}{f'; {meant}' if meant else ''}")
+        meant = did_you_mean(function, functions, "; ")
+        raise UserError(f"{flag} {name}: no function {function} in {place}{meant}")
     return loaded
 
 
@@ -38,33 +36,21 @@ def in_one_line(error: BaseException) -> str:
     return printable(f"{type(error).__name__}: {first}" if first else type(error).__name__)[:300]
 
 
-def _names_of_file(flag: str, name: str, path: Path) -> dict[str, Any]:
-    if not path.is_file():
+def _names_in(place: str, flag: str) -> dict[str, Any]:
+    """The names that a file or module defines. `flag`: the beginning of errors."""
+    path = Path(place)
+    is_file = path.suffix == ".py"
+    if is_file and not path.is_file():
         meant = did_you_mean(str(path), [str(path.with_name(other.name)) for other in path.parent.glob("*.py")])
-        raise UserError(f"{flag} {name}: no file {path}; {meant or f'give its path from {Path.cwd()}'}")
-    try:
-        return runpy.run_path(str(path))
-    except ModuleNotFoundError as error:
-        raise _missing(f"{flag} {name}: {path}", error) from None
-    except (Exception, SystemExit) as error:
-        raise UserError(f"{flag} {name}: {path} cannot be run ({in_one_line(error)})") from None
-
-
-def _names_of_module(flag: str, name: str, place: str) -> dict[str, Any]:
-    if (folder := str(Path.cwd())) not in sys.path:
+        raise UserError(f"{flag}no file {path}; {meant or f'give its path from {Path.cwd()}'}")
+    if not is_file and (folder := str(Path.cwd())) not in sys.path:
         sys.path.append(folder)  # last, so that it hides no other module
     try:
-        return vars(importlib.import_module(place))
-    except ModuleNotFoundError as error:
-        if error.name is not None and place.startswith(error.name):  # the module itself
-            raise UserError(f"{flag} {name}: {place} cannot be imported ({in_one_line(error)})") from None
-        raise _missing(f"{flag} {name}: {place}", error) from None
+        return runpy.run_path(str(path)) if is_file else vars(importlib.import_module(place))
     except (Exception, SystemExit) as error:
-        raise UserError(f"{flag} {name}: {place} cannot be imported ({in_one_line(error)})") from None
-
-
-def _missing(where: str, error: ModuleNotFoundError) -> UserError:
-    """The error of code that imports a module that is not installed. Most packages have the name of their
-    module."""
-    module = printable((error.name or "").partition(".")[0])
-    return UserError(f"{where} needs the module {module}, which is not installed: `{package_line(module)}`")
+        why = f"cannot be {'run' if is_file else 'imported'} ({in_one_line(error)})"
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing and (is_file or not place.startswith(missing)):  # a module that the code imports
+            module = printable(missing.partition(".")[0])  # most packages have the name of their module
+            why = f"needs the module {module}, which is not installed: `{package_line(module)}`"
+        raise UserError(f"{flag}{path if is_file else place} {why}") from None
