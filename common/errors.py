@@ -56,10 +56,10 @@ def decimal(value: float, places: int, *, signed: bool = False) -> str:
     return f"{value:{sign}.1e}" if abs(value) >= _MAX_WRITTEN_OUT else f"{value:{sign}.{places}f}"
 
 
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """A hint such as "did you mean lake?" if one of `names` resembles `name`; else ""."""
+def did_you_mean(name: str, names: Iterable[str], before: str = "") -> str:
+    """A hint such as "did you mean lake?", after `before`, if one of `names` resembles `name`; else ""."""
     near = difflib.get_close_matches(name, list(names), n=1)
-    return f"did you mean {near[0]}?" if near else ""
+    return f"{before}did you mean {near[0]}?" if near else ""
 
 
 class UserError(Exception):

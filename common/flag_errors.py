@@ -57,7 +57,7 @@ def _line_of(event: Any, config: Any) -> str:
             return f"which command? One of {', '.join(event.subcommand_spec.parser_from_name)}; {help_line}"
         case "InvalidChoice":
             choices = sorted(event.choices)
-            meant = _after("; ", did_you_mean(event.value, choices))
+            meant = did_you_mean(event.value, choices, "; ")
             return f"{_name_of(event.argument)} {event.value}: expected one of {', '.join(choices)}{meant}"
         case "BadValue" if event.reason == "too_few_values":
             if event.argument.is_positional():
@@ -88,7 +88,7 @@ def _unknown(tokens: Sequence[str], config: Any) -> str:
         return f"{flag}: was removed; {instead}"
     if flag in names:  # of another subcommand
         return f"{flag}: not a flag of this command"
-    return f"{flag}: no such flag{_after('; ', did_you_mean('--' + flag.lstrip('-'), names))}"
+    return f"{flag}: no such flag{did_you_mean('--' + flag.lstrip('-'), names, '; ')}"
 
 
 def _too_many(word: str, config: Any) -> str:
@@ -196,7 +196,3 @@ def _expected(argument: Any) -> str:
     if kinds and kinds[0] in _NUMBERS and set(kinds) == {kinds[0]} and len(kinds) in _COUNTS:
         return f"{_COUNTS[len(kinds)]} {_NUMBERS[kinds[0]]}{'s' * (len(kinds) > 1)}"
     return metavar
-
-
-def _after(mark: str, text: str) -> str:
-    return f"{mark}{text}" if text else ""

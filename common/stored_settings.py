@@ -40,10 +40,10 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
             if name not in removed or (removed[name] is not ... and removed[name] != value)
         }
     if isinstance(stored, dict) and (unknown := sorted(map(str, stored.keys() - names))):
-        meant = did_you_mean(unknown[0], names)
-        raise ValueError(f"unknown settings: {', '.join(unknown)}{f'; {meant}' if meant else ''}")
+        raise ValueError(f"unknown settings: {', '.join(unknown)}{did_you_mean(unknown[0], names, '; ')}")
     try:
-        settings = msgspec.convert(_with_earlier(kind, stored), kind)
+        earlier = getattr(kind, "EARLIER", {})
+        settings = msgspec.convert({**earlier, **stored} if isinstance(stored, dict) else stored, kind)
     except msgspec.ValidationError as error:
         raise ValueError(str(error)) from None
     numbers = {name: value for name, value in stored.items() if isinstance(getattr(settings, name), float)}
@@ -65,8 +65,3 @@ def settings_of_file(kind: type[Settings], path: Path | str) -> Settings:
     except (OSError, ValueError) as error:
         reason = printable(" ".join(str(error).split()))
     raise ValueError(reason)
-
-
-def _with_earlier(kind: type[Settings], stored: Any) -> Any:
-    earlier = getattr(kind, "EARLIER", {})
-    return {**earlier, **stored} if isinstance(stored, dict) else stored

@@ -134,8 +134,8 @@ class NameRows:
         used = names_used(self.log.parent)
         if name in used:
             return ""
-        meant = did_you_mean(name, used)
-        notice = f"new tag {name!r}" + (f"; {meant}" if meant else "")
+        meant = did_you_mean(name, used, "; ")
+        notice = f"new tag {name!r}{meant}"
         answer = ask(f"{notice} Give {name!r} all the same?") if meant else None
         if answer is not None and not answer:
             raise UserError("nothing was tagged")

@@ -131,17 +131,16 @@ def _number(dataset: LeRobotFolder, text: str) -> FeatureNumber:
     for number in numbers:
         if text in (number.label, f"{number.feature}.{number.index}"):
             return number
+    labels = [number.label for number in numbers]
     feature = dataset.features.get(text)
     if feature is not None:
         raise RecordingError(
             f"{dataset.root}: --steering {printable(text)}: not a single number, but {printable(feature.dtype)}"
-            f" of shape {feature.shape}; there are {_listed([number.label for number in numbers])}"
+            f" of shape {feature.shape}; there are {_listed(labels)}"
         )
-    labels = [number.label for number in numbers]
-    hint = did_you_mean(text, labels)
+    hint = did_you_mean(text, labels, " ")
     raise RecordingError(
-        f"{dataset.root}: no number {printable(text)!r} for --steering; {hint + ' ' if hint else ''}it has"
-        f" {_listed(labels)}"
+        f"{dataset.root}: no number {printable(text)!r} for --steering;{hint} it has {_listed(labels)}"
     )
 
 
