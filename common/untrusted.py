@@ -1,4 +1,4 @@
-"""Open untrusted files and follow untrusted links without blocking, filling the memory or ending the process."""
+"""Read untrusted files, links and numbers without blocking, filling the memory or ending the process."""
 
 from __future__ import annotations
 
@@ -60,3 +60,11 @@ def _opened(path: Path | str) -> tuple[int, int]:
         os.close(descriptor)
         raise
     return descriptor, status.st_size
+
+
+def whole_number(text: str, max_digits: int = 15) -> int | None:
+    """Parse a text of at most `max_digits` ASCII digits; None for any other text.
+
+    `int` itself accepts signs, spaces and underscores, and raises ValueError for more than 4,300 digits.
+    """
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= max_digits else None

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from common import Skipped
 from common.car import CAMERAS, Camera
 from common.errors import did_you_mean, printable
-from common.untrusted import open_regular
-from common.whole_number import whole_number
+from common.untrusted import open_regular, whole_number
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError, readable
 from recorder.rows.row_quality import GAP_S
@@ -57,7 +56,7 @@ class CsvColumns:
         for text in given:
             key, separator, name = text.partition("=")
             if key not in KEYS or not separator or not name:
-                hint = f" {hint}" if key not in KEYS and (hint := did_you_mean(key, KEYS)) else ""
+                hint = "" if key in KEYS else did_you_mean(key, KEYS, " ")
                 raise RecordingError(
                     f"--columns {printable(text)}: expected WHAT=COLUMN, where WHAT is one of"
                     f" {', '.join(KEYS)}.{hint}"
@@ -133,7 +132,7 @@ class CsvColumns:
         if are_numbers and max(map(int, missing)) <= len(header):
             return None
         for name in missing:
-            hint = f" {hint}" if (hint := did_you_mean(name, header)) else ""
+            hint = did_you_mean(name, header, " ")
             listed = ", ".join(printable(name[:60]) for name in header[:40]) or "none"
             raise RecordingError(f"{path}: no column {printable(name)!r}; the first line names {listed}.{hint}")
         if twice := next((name for name in self.names.values() if header.count(name) > 1), None):

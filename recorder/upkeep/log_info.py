@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from common.location import Location
+from common.untrusted import whole_number
 from common.untrusted_json import json_as
 from recorder import topics
 from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
@@ -136,8 +137,8 @@ def describe(
                 for name in sorted(counts)
             ],
             session=log.metadata,
-            drives=_count(quality.get("drives")) if quality else None,
-            flags={flag: _count(quality.get(flag)) for flag in ROW_FLAGS} if quality else None,
+            drives=(whole_number(quality.get("drives", "")) or 0) if quality else None,
+            flags={flag: whole_number(quality.get(flag, "")) or 0 for flag in ROW_FLAGS} if quality else None,
             stretches=[FlaggedRows(*values) for values in stretches or ()],
             odd=TaggedRows(tags).untagged(odd) if odd is not None else None,
             steering=steering,
@@ -244,10 +245,6 @@ def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
 def _states(log: Log) -> States | None:
     """The states of a log of ours; None if it has no rows."""
     return states_of(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
-
-
-def _count(text: str | None) -> int:
-    return int(text) if text is not None and text.isascii() and text.isdigit() and len(text) < 16 else 0
 
 
 def _seconds(text: str | None) -> float | None:

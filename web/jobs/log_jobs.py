@@ -13,7 +13,7 @@ from typing import Final
 from common.errors import printable
 from common.files import final_name
 from common.location import Location
-from common.whole_number import whole_number
+from common.untrusted import whole_number
 from recorder.upkeep.recover import recovered_name
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, is_recording

@@ -14,8 +14,7 @@ from common.errors import printable
 from common.files import publish
 from common.interrupts import uninterrupted
 from common.location import Url
-from common.untrusted import real_path
-from common.whole_number import whole_number
+from common.untrusted import real_path, whole_number
 from recorder.log.tags import tags_path
 from recorder.sources.find_recording import folders_in, recordings_in
 from recorder.sources.import_mcap import is_own_log

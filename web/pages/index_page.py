@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import counted, printable
-from common.whole_number import whole_number
+from common.untrusted import whole_number
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME

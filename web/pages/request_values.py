@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from common.errors import printable
-from common.whole_number import whole_number
+from common.untrusted import whole_number
 from web.errors import WebError
 
 _FORM = "application/x-www-form-urlencoded"

@@ -19,7 +19,7 @@ from common.car import MAX_STEERING_DEG
 from common.errors import printable
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.stored_settings import settings_from
-from common.whole_number import whole_number
+from common.untrusted import whole_number
 from model.config import TrainConfig
 from model.runs.network_of_run import is_own_network
 from model.runs.run_config import load_config

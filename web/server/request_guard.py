@@ -19,7 +19,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from common.whole_number import whole_number
+from common.untrusted import whole_number
 from recorder.server.allowed_hosts import AllowedHosts, is_loopback
 from web.errors import WebError
 from web.folders.uploads import MAX_UPLOAD_BYTES
