@@ -9,6 +9,7 @@ from typing import Any, Final
 from common.markdown import rendered
 from common.versions import version_of
 from recorder.lerobot.dataset_format import PREVIOUS_NAMES, SPLIT, STATE
+from recorder.lerobot.export_plan import ExportPlan
 
 CARD_PATH: Final = "README.md"
 NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
@@ -35,14 +36,14 @@ class CardSession:
 def card(
     info: Mapping[str, Any],
     sessions: Sequence[CardSession],
+    plan: ExportPlan,
     *,
     task: str,
     licence: str | None,
     picture: str,
-    rate_hz: float,
-    max_steering_deg: float | None,
 ) -> str:
     """The text of a card. `picture`: the file name of an example."""
+    max_deg = plan.max_steering_deg
     return rendered(
         "recorder",
         "dataset_card.md.jinja",
@@ -52,9 +53,9 @@ def card(
         licence=licence,
         no_licence=NO_LICENCE,
         picture=picture,
-        rate_hz=rate_hz,
+        rate_hz=plan.rate_hz,
         cameras=", ".join(name for name in info["features"] if name.startswith("observation.images.")),
-        full_lock="an unknown angle" if max_steering_deg is None else f"{max_steering_deg:g} degrees",
+        full_lock="an unknown angle" if max_deg is None else f"{max_deg:g} degrees",
         has_speed="speed_mph" in info["features"][STATE]["names"],
         has_split=SPLIT in info["features"],
         previous=", ".join(f"`{name}`" for name in PREVIOUS_NAMES),

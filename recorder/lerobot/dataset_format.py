@@ -106,12 +106,12 @@ def features(
 
 
 def info(
-    features: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, robot: str, is_video: bool
+    features: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, is_video: bool
 ) -> dict[str, Any]:
     """The content of `meta/info.json`."""
     return {
         "codebase_version": VERSION,
-        "robot_type": robot,
+        "robot_type": "car",
         "fps": fps,
         "total_episodes": episodes,
         "total_frames": frames,

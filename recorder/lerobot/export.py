@@ -40,7 +40,6 @@ from recorder.rows.row_quality import States
 from recorder.topics import EVENTS
 
 TASK: Final = "Drive along the road."
-ROBOT: Final = "car"
 _WRITTEN_BYTES: Final = 1 << 26  # bytes of pictures in a row group
 
 Columns = dict[str, NDArray[Any]]
@@ -248,12 +247,7 @@ class _Export:
         """Write the files that describe the episodes."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
         info = form.info(
-            self._files.columns,
-            fps=plan.fps,
-            episodes=self.episodes,
-            frames=self.frames,
-            robot=ROBOT,
-            is_video=is_video,
+            self._files.columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, is_video=is_video
         )
         if is_video:
             for camera, size in self._sizes.items():
@@ -263,15 +257,7 @@ class _Export:
         write_tasks(root, self._task)
         picture = "picture.png" if self._example.startswith(PNG_START) else "picture.jpg"
         (root / picture).write_bytes(self._example)
-        text = card(
-            info,
-            self.sessions,
-            task=self._task,
-            licence=licence,
-            picture=picture,
-            rate_hz=plan.rate_hz,
-            max_steering_deg=plan.max_steering_deg,
-        )
+        text = card(info, self.sessions, plan, task=self._task, licence=licence, picture=picture)
         (root / CARD_PATH).write_text(text, encoding="utf-8")
 
 
