@@ -21,6 +21,7 @@ from recorder.log.session_car import BUILT_IN, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import SimulatedDrive
+from recorder.topics import VEHICLE_COLUMNS
 from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH, DriverName
 from simulator.driving.recovery_driving import MAX_RECOVERY, DriveStep, drive_for_recording, steps_each
 from simulator.driving.simulated_driver import make_driver
@@ -31,6 +32,7 @@ from simulator.rendering.camera import MOUNT_LEFT_M
 # Simulated time has no date. This one makes the same drive the same log, byte for byte.
 CLOCK_START_NS: Final = 1_767_225_600 * 10**9  # 2026-01-01T00:00:00Z
 
+_LAPS_EXPECTED: Final = f"a number above 0 and up to {MAX_LAPS:,} (a lap takes some 70 MB)"
 _SPEED_EXPECTED: Final = f"a set speed above 0 mph and up to {MAX_SPEED_MPH} (the car reaches 30)"
 BACK_TO_START_S: Final = 2.0
 """The gap in a recording's times before the car drives from the start at another speed."""
@@ -45,7 +47,9 @@ def record_simulated(
     """
     refuse_existing(log, overwrite)  # before the folder is created
     check_drive(drive)
-    name, laps = _driver_name(drive), 1.0 if drive.laps is None else drive.laps
+    if drive.driver == "me":
+        raise RecordingError("--driver me: a person's drive is recorded by `record_person`")
+    name, laps = drive.driver, 1.0 if drive.laps is None else drive.laps
     simulation = simulation_on(drive.track)
     metadata = simulator_metadata(
         simulation,
@@ -71,23 +75,14 @@ def record_simulated(
             jpegs = {camera: simulation.jpeg(camera, step.pose) for camera in MOUNT_LEFT_M}
             for camera, jpeg in jpegs.items():
                 writer.picture(camera, time_ns, rows, jpeg)
-            state = VehicleState(
-                steering=step.steering, throttle=step.throttle, brake=step.brake, speed_mph=step.speed_mph
-            )
+            driven = {column: getattr(step, column) for column in VEHICLE_COLUMNS}
             pause_s = step.time_s - last_s - 1 / drive.rate if rows else 0.0
             gap = MeantGap(pause_s, _why_not_recorded(step, new_speed_mph)) if pause_s > 1e-3 else None
-            writer.vehicle(time_ns, rows, state, gap)
+            writer.vehicle(time_ns, rows, VehicleState(**driven), gap)
             last_s = step.time_s
             writer.pose(time_ns, rows, pose_message(step.pose, time_ns))
             if folder is not None:
-                folder.row(
-                    time_ns,
-                    jpegs,
-                    steering=step.steering,
-                    throttle=step.throttle,
-                    brake=step.brake,
-                    speed_mph=step.speed_mph,
-                )
+                folder.row(time_ns, jpegs, **driven)
             rows += 1
             put_back += step.after_gap and not step.recovering
             bar.update(task, completed=step.progress_m)
@@ -143,12 +138,6 @@ def _drive_at_each_speed(
         begin_s = now_s + BACK_TO_START_S
 
 
-def _driver_name(drive: SimulatedDrive) -> DriverName:
-    if drive.driver == "me":
-        raise RecordingError("--driver me: a person's drive is recorded by `record_person`")
-    return drive.driver
-
-
 def check_drive(drive: SimulatedDrive) -> None:
     """Raise RecordingError, which names the flag, for impossible numbers."""
     try:
@@ -157,13 +146,9 @@ def check_drive(drive: SimulatedDrive) -> None:
         raise RecordingError(str(error)) from None
     if not drive.speed:
         raise RecordingError("--speed: expected a set speed in mph, or several")
+    laps = 1.0 if drive.laps is None else drive.laps
     for flag, value, is_good, expected in (
-        (
-            "--laps",
-            drive.laps or 0.0,
-            drive.laps is None or 0 < drive.laps <= MAX_LAPS,
-            f"a number above 0 and up to {MAX_LAPS:,} (a lap takes some 70 MB)",
-        ),
+        ("--laps", laps, 0 < laps <= MAX_LAPS, _LAPS_EXPECTED),
         *(("--speed", mph, 0 < mph <= MAX_SPEED_MPH, _SPEED_EXPECTED) for mph in drive.speed),
         ("--recovery", drive.recovery, 0 <= drive.recovery <= MAX_RECOVERY, f"a share of 0 .. {MAX_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),
