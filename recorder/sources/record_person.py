@@ -32,7 +32,7 @@ from recorder.sources.settings import SimulatedDrive
 from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
-from recorder.teleop.wheel import Request, Wheel
+from recorder.teleop.wheel import Wheel
 from recorder.topics import PERSON_METADATA
 from recorder.upkeep.derived_log import close_with_tags
 from simulator.driving.simulation import Simulation
@@ -69,12 +69,7 @@ def record_person(
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
         about = hello(
-            "record",
-            log,
-            track=simulation.track,
-            rate_hz=drive.rate,
-            picture_hz=EYE_HZ,
-            hold_mph=drive.speed[0],
+            "record", log, track=simulation.track, rate_hz=drive.rate, picture_hz=EYE_HZ, hold_mph=drive.speed[0]
         )
         wheel = stack.enter_context(Wheel(f"{log.stem} on {drive.track}", log, about))
         writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
@@ -134,7 +129,10 @@ class _Drive:
             for request in self._wheel.requests():
                 if request.kind == "end":
                     return "ended on the page"
-                self._handle(request)
+                for text in self.recording.handle(request):
+                    self._rows.event(text)
+                if request.kind == "put_back":
+                    self._put_on_line("the person had the car put back on its line")
             self._advance()
             if self._drive.laps is not None and self._course.laps >= self._drive.laps:
                 return f"{self._drive.laps:g} laps are driven"
@@ -143,12 +141,6 @@ class _Drive:
                 pass
             self._real_time.wait(self._wheel.control_came)
         return "stopped at the terminal"
-
-    def _handle(self, request: Request) -> None:
-        for text in self.recording.handle(request):
-            self._rows.event(text)
-        if request.kind == "put_back":
-            self._put_on_line("the person had the car put back on its line")
 
     def _advance(self) -> None:
         control = self._wheel.control()

@@ -68,7 +68,7 @@ def watch_udacity(
         recording = _GrowingRecording(folder, writer, rate_hz, car)
         if on_started is not None:
             on_started(writer.part)
-        if not recording.has_csv():
+        if not is_udacity(folder):
             hint = recordings_near(folder)
             waiting = f"waiting for {folder / CSV_NAME}"
             status.show_or_print(f"{waiting};{hint}" if hint else waiting)
@@ -105,9 +105,6 @@ class _GrowingRecording:
         self._last_ns = 0
         self._last_s: float | None = None
 
-    def has_csv(self) -> bool:
-        return is_udacity(self._folder)
-
     def poll(self) -> bool:
         """Log new rows and pictures; True if there is more to do at once."""
         with contextlib.suppress(OSError):
@@ -137,7 +134,7 @@ class _GrowingRecording:
         return 0.0 if self._last_s is None else time.monotonic() - self._last_s
 
     def status(self) -> str:
-        if not self.rows and not self.has_csv():
+        if not self.rows and not is_udacity(self._folder):
             return f"waiting for {self._folder / CSV_NAME}"
         return (
             f"{counted(self.rows, 'row')}, {counted(self.pictures, 'picture')},"
@@ -147,7 +144,7 @@ class _GrowingRecording:
 
     def why_nothing(self) -> str:
         csv = self._folder / CSV_NAME
-        if not self.has_csv():
+        if not is_udacity(self._folder):
             return f"{csv}: it never came; give the folder that the simulator's training mode records into"
         return f"{csv}: no usable row{self.skipped.error_suffix()}"
 
