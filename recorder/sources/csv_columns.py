@@ -144,11 +144,11 @@ class CsvColumns:
     ) -> CsvRow | str:
         """A row, or the reason why it cannot be used."""
         values = {key: cells[position].strip() if position < len(cells) else "" for key, position in at.items()}
-        numbers: dict[str, float] = {}
-        for key in (*_NUMBERS, *_TIMES):
-            if key in values:
-                text = values[key].replace(",", ".") if has_comma else values[key]
-                numbers[key] = _number(text)
+        numbers = {
+            key: _number(values[key].replace(",", ".") if has_comma else values[key])
+            for key in (*_NUMBERS, *_TIMES)
+            if key in values
+        }
         if not math.isfinite(numbers["steering"]):
             return "rows whose steering is not a number"
         time_ns: int | None = None
@@ -163,13 +163,8 @@ class CsvColumns:
         pictures = {camera: values[camera] for camera in CAMERAS if values.get(camera)}
         if not pictures:
             return "rows that name no picture"
-        state = vehicle_state(
-            numbers["steering"] * scale,
-            numbers.get("throttle", 0.0),
-            numbers.get("brake", 0.0),
-            numbers.get("speed_mph", math.nan),
-        )
-        return CsvRow(line, index, pictures, state, time_ns)
+        others = {key: numbers[key] for key in _NUMBERS[1:] if key in numbers}
+        return CsvRow(line, index, pictures, vehicle_state(numbers["steering"] * scale, **others), time_ns)
 
 
 def delimiter_of(first_line: str) -> str:

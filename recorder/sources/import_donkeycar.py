@@ -53,12 +53,9 @@ def import_tub(
         raise RecordingError(f"{folder}: --rate: the tub's records have their times; leave it out")
     step_ms = None if is_timed else 1000 / (rate_hz or DEFAULT_RATE_HZ)
     frames = _frames(tub, step_ms, f"importing {folder.name}", skipped)
-    metadata = recording_metadata("donkeycar", folder, car) | {
-        "tub_version": tub.version,
-        "clock": "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record has a time",
-    }
-    if rate_hz is not None:
-        metadata["clock"] = describe_clock(rate_hz)
+    clock = "recorded" if is_timed else f"{DEFAULT_RATE_HZ} Hz, because no record has a time"
+    clock = clock if rate_hz is None else describe_clock(rate_hz)
+    metadata = recording_metadata("donkeycar", folder, car) | {"tub_version": tub.version, "clock": clock}
     if tub.start_ns is None and (tub.is_time_from_start or not is_timed):
         metadata |= FROM_1970
     without_rows = f"{folder}: no usable record in this DonkeyCar tub"
