@@ -45,14 +45,9 @@ class OpenConnections:
         self._notify = notify
         self._deadlines_s: dict[Any, float] = {}  # time.monotonic(); infinite before a request and after it
 
-    def add(self, stream: Any) -> None:
-        self._deadlines_s[stream] = math.inf
-
-    def request_started(self, stream: Any) -> None:
-        self._deadlines_s[stream] = time.monotonic() + REQUEST_S
-
-    def request_complete(self, stream: Any) -> None:
-        self._deadlines_s[stream] = math.inf
+    def add(self, stream: Any, limit_s: float = math.inf) -> None:
+        """Add a connection, or change its time limit: `REQUEST_S` for a request, none before it and after it."""
+        self._deadlines_s[stream] = time.monotonic() + limit_s
 
     def remove(self, stream: Any) -> None:
         self._deadlines_s.pop(stream, None)

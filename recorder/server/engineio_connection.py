@@ -49,14 +49,14 @@ class Connection(Socket):  # type: ignore[misc]
     More threads would delay the answer. A thread that sleeps until the next ping would outlive the run.
     """
 
-    has_sent_message: bool
-    is_announced: bool  # its first message has come
-    awaits_first_command: bool  # no telemetry has come, and no command was sent
-    first_command_sent: bool  # before any telemetry
+    has_sent_message = False
+    is_announced = False  # its first message has come
+    awaits_first_command = True  # no telemetry has come, and no command was sent
+    first_command_sent = False  # before any telemetry
     in_flight: InFlight[Received]
     last_ping: Any
     _notify: Callable[[str], None]
-    _websocket: WebSocket | None
+    _websocket: WebSocket | None = None
     _since_s: float  # time.monotonic()
     _next_ping_s: float
 
@@ -65,10 +65,7 @@ class Connection(Socket):  # type: ignore[misc]
         """Convert a new connection of python-engineio to this class. `notify` gets the reason if the client is
         disconnected."""
         connection.__class__ = cls
-        connection.has_sent_message, connection.awaits_first_command = False, True
-        connection.is_announced = False
-        connection.first_command_sent, connection.in_flight = False, InFlight()
-        connection._notify, connection._websocket = notify, None
+        connection.in_flight, connection._notify = InFlight(), notify
         connection._since_s = connection._next_ping_s = time.monotonic()
 
     @property

@@ -85,7 +85,7 @@ class _Handler(eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
         try:
             problem = first_bytes_problem(self.connection)
             if problem is None:
-                self._open_connections.request_started(self.connection)
+                self._open_connections.add(self.connection, REQUEST_S)
                 super().handle()
             elif problem:
                 self._notify(problem)
@@ -96,7 +96,7 @@ class _Handler(eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
         environ: dict[str, Any] = super().get_environ()
         environ[STREAM] = self.connection
         if environ["REQUEST_METHOD"] == "GET":  # a request without a body is complete
-            self._open_connections.request_complete(self.connection)
+            self._open_connections.add(self.connection)
         return environ
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:

@@ -167,7 +167,9 @@ class TelemetryServer:
                 self._tick_connections()
         finally:
             self._is_over = True
-            self._wait_for_unsent_answers()
+            until_s = time.monotonic() + END_S  # other green threads still send: the car keeps the last command
+            while self._unsent_answers and time.monotonic() < until_s:
+                self._host.wait(0.01)
             for sid in list(self._steered):
                 self._stop(sid)
             for connection in list(self._engine.sockets.values()):
@@ -201,12 +203,6 @@ class TelemetryServer:
         is_connected = self._server.manager.is_connected(sid, "/")
         return self._engine.sockets.get(self._server.manager.eio_sid_from_sid(sid, "/")) if is_connected else None
 
-    def _wait_for_unsent_answers(self) -> None:
-        """Wait for answers in other green threads: after the last command, the car would keep them."""
-        until_s = time.monotonic() + END_S
-        while self._unsent_answers and time.monotonic() < until_s:
-            self._host.wait(0.01)
-
     def _stop(self, sid: str) -> None:
         try:
             command = self._handler.final_command(sid)
@@ -218,7 +214,9 @@ class TelemetryServer:
 
     def _serve(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         if refused := self._allowed_hosts.why_refused(environ):
-            self._refuse(refused)
+            if not self._has_refused:  # once: a page that tries many names must not fill the screen
+                self._has_refused = True
+                self._notify_once(NOTICE_REFUSED.format(printable(refused[:MAX_SHOWN_CHARACTERS])))
             start_response("403 Forbidden", [("Content-Length", "0")])
             return []
         try:
@@ -230,11 +228,6 @@ class TelemetryServer:
                 connection.hang_up()
             start_response("400 Bad Request", [("Content-Length", "0")])
             return []
-
-    def _refuse(self, reason: str) -> None:
-        if not self._has_refused:  # once: a page that tries many names must not fill the screen
-            self._has_refused = True
-            self._notify_once(NOTICE_REFUSED.format(printable(reason[:MAX_SHOWN_CHARACTERS])))
 
     def _on_connection(self, engine_sid: str, environ: dict[str, Any]) -> Any:
         transport = parse_qs(str(environ.get("QUERY_STRING", ""))).get("transport", [""])[0]
