@@ -36,6 +36,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in safe)
 
 
+def brief(text: str, max_characters: int = 200) -> str:
+    """Untrusted text, shortened and printable, for an error."""
+    return printable(text if len(text) <= max_characters else f"{text[:max_characters]}...")
+
+
 def counted(number: int, noun: str, plural: str = "") -> str:
     """Format a number and its noun: "1 frame", "2,000 frames". `plural` is by default the noun with an s."""
     return f"{number:,} {noun if number == 1 else plural or f'{noun}s'}"

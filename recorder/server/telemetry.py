@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from common.car import CAMERAS, Camera
-from common.errors import counted, printable
+from common.errors import brief, counted
 from recorder.log.session_car import UDACITY, Car
 from recorder.pictures.picture_size import PNG_START
 from recorder.pictures.whole_picture import whole_jpeg_size, whole_png_size
@@ -148,7 +148,7 @@ def _decimal_separator(data: dict[object, object]) -> str | None:
 
 
 def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
-    present = ", ".join(_shortened(name) for name in list(data)[:_MAX_FIELDS_SHOWN]) + (
+    present = ", ".join(brief(str(name), _MAX_CHARACTERS_SHOWN) for name in list(data)[:_MAX_FIELDS_SHOWN]) + (
         ", ..." if len(data) > _MAX_FIELDS_SHOWN else ""
     )
     which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
@@ -166,19 +166,13 @@ def _number(value: object, field: str, decimal: str, unit: float) -> float:
     except OverflowError:
         number = math.inf
     if number is None:
-        raise TelemetryError(f"{field} is not a number", f" ({_shortened(value)})")
+        raise TelemetryError(f"{field} is not a number", f" ({brief(str(value), _MAX_CHARACTERS_SHOWN)})")
     if not math.isfinite(number):
         raise TelemetryError(f"{field} is not finite")
     number *= unit
     if field == "speed" and abs(number) > MAX_SPEED_MPH:
         raise TelemetryError(f"speed is beyond {MAX_SPEED_MPH:,.0f} mph")
     return number
-
-
-def _shortened(value: object) -> str:
-    """The beginning of a client's text, printable."""
-    text = str(value)
-    return printable(text if len(text) <= _MAX_CHARACTERS_SHOWN else f"{text[:_MAX_CHARACTERS_SHOWN]}...")
 
 
 def _side_pictures(data: dict[object, object]) -> tuple[dict[Camera, bytes], tuple[str, ...]]:

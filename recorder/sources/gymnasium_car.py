@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.closeable import Closeable
-from common.errors import UsageError, UserError, counted, printable
+from common.errors import UsageError, UserError, brief, counted, printable
 from common.named_function import in_one_line, load_function
 from common.versions import install_line
 from recorder.errors import RecordingError
@@ -290,5 +290,4 @@ def _is_picture(space: Any) -> bool:
 
 def _named(space: Any) -> str:
     """A space in a few words."""
-    text = " ".join(str(space).split())
-    return printable(text if len(text) <= 100 else f"{text[:100]}...")
+    return brief(" ".join(str(space).split()), 100)

@@ -18,6 +18,7 @@ from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from common import Skipped
+from common.errors import brief
 from common.files import PART_SUFFIX
 from common.progress import track
 from common.untrusted import open_regular, real_path
@@ -40,7 +41,6 @@ from recorder.sources.imported_rows import (
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
-    brief,
     decoder_for,
     is_picture_type,
     number_in,

@@ -21,7 +21,7 @@ from google.protobuf.message import Message as ProtobufMessage
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 
-from common.errors import printable
+from common.errors import brief
 from common.versions import install_line
 from recorder.errors import RecordingError
 
@@ -124,11 +124,6 @@ def picture_in(message: object) -> bytes:
 def needs_ros() -> str:
     """The error if the packages for ROS 2 messages are missing."""
     return f"ROS 2 messages need two packages more: `{install_line('ros')}` brings them"
-
-
-def brief(text: str) -> str:
-    """Untrusted text, shortened and made printable for an error."""
-    return printable(text if len(text) <= 200 else f"{text[:200]}...")
 
 
 def _child(value: object, name: str, parents: str) -> object:

@@ -19,10 +19,11 @@ from typing import Any, Final
 from mcap.records import Channel, Message, Schema
 
 from common import Skipped
+from common.errors import brief
 from common.progress import track
 from common.untrusted import read_bounded, real_path
 from recorder.errors import RecordingError
-from recorder.sources.mcap_messages import brief, needs_ros
+from recorder.sources.mcap_messages import needs_ros
 
 METADATA: Final = "metadata.yaml"
 MCAP, SQLITE = ".mcap", ".db3"
