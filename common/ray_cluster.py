@@ -260,10 +260,7 @@ def refuse_other_node(versions: Mapping[str, str], folder: Path) -> None:
 
 
 def _call(
-    function: Callable[..., Result],
-    calls: Sequence[tuple[Any, ...]],
-    versions: Mapping[str, str],
-    folder: Path,
+    function: Callable[..., Result], calls: Sequence[tuple[Any, ...]], versions: Mapping[str, str], folder: Path
 ) -> list[Result | _Failed]:
     """On a node: the results of the calls, up to the first that fails. Errors in the user's files are returned,
     because Ray would wrap a raised error."""

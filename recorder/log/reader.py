@@ -72,13 +72,7 @@ class Log(Closeable):
     missing, damaged or not an MCAP file.
     """
 
-    def __init__(
-        self,
-        path: Location | str,
-        *,
-        salvages: bool = False,
-        shows_progress: bool = False,
-    ) -> None:
+    def __init__(self, path: Location | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
         self.path = location(path)
         self._shows_progress = shows_progress
         self._file = McapFile(self.path)
@@ -443,14 +437,11 @@ class Log(Closeable):
 
 
 def _messages(entries: NDArray[np.void]) -> list[Message]:
-    names = ("sequence", "log_time_ns", *_PLACE)
-    return [Message(*row) for row in _in_plain_numbers(*(entries[name] for name in names))]
-
-
-def _in_plain_numbers(*columns: NDArray[Any]) -> Iterator[tuple[Any, ...]]:
-    """The rows of columns of one length, converted in parts: a Python int takes 32 bytes."""
-    for start in range(0, len(columns[0]), _ROWS_AT_ONCE):
-        yield from zip(*(column[start : start + _ROWS_AT_ONCE].tolist() for column in columns), strict=True)
+    messages = list[Message]()
+    for start in range(0, len(entries), _ROWS_AT_ONCE):  # in parts: a Python int takes 32 bytes
+        rows = entries[start : start + _ROWS_AT_ONCE]
+        messages += map(Message, *(rows[name].tolist() for name in ("sequence", "log_time_ns", *_PLACE)))
+    return messages
 
 
 def _sha256(*parts: bytes) -> str:

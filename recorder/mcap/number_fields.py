@@ -23,11 +23,7 @@ Mask = NDArray[np.bool_]
 
 
 def decode_numbers(
-    data: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    kind: type[Message],
-    names: Sequence[str],
+    data: bytes, starts: Places, ends: Places, kind: type[Message], names: Sequence[str]
 ) -> NDArray[np.float64]:
     """The fields `names` of N serialised messages of a type: an array (len(names), N). Message i is
     data[starts[i]:ends[i]]. A missing `optional` field is NaN. A field of a field is named "pose.position.x".

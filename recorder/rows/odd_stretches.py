@@ -196,12 +196,7 @@ def creeping_rows(
 
 
 def coasting_rows(
-    speed_mph: Values,
-    states: States,
-    standing: Mask,
-    usual_mph: float,
-    time_s: Values,
-    drive: NDArray[np.int64],
+    speed_mph: Values, states: States, standing: Mask, usual_mph: float, time_s: Values, drive: NDArray[np.int64]
 ) -> Mask:
     """The rows (N,) in which the car rolls to a halt without throttle and brake; none if no throttle was recorded.
     Arguments as of `creeping_rows`."""
