@@ -111,21 +111,15 @@ def summary(states: States) -> dict[str, str]:
     flagged = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
     since_s = (states.time_ns - states.time_ns[:1]) / 1e9
     listed = [
-        [
-            flag,
-            int(states.row[first]),
-            int(states.row[last]),
-            float(since_s[first - (flag == "gap")]),
-            float(since_s[last]),
-        ]
-        for first, last, flag in flagged
+        [flag, *states.row[[first, last]].tolist(), *since_s[[first - (flag == "gap"), last]].tolist()]
+        for first, last, flag in flagged[:MAX_STRETCHES]
     ]
     return {
         "rows": str(len(states.row)),
         "drives": str(int(drive_numbers(states.time_ns)[-1]) + 1 if len(states.row) else 0),
         "driven_s": f"{driven_s(states.time_ns):.3f}",
         **{flag: str(int(mask.sum())) for flag, mask in flags.items()},
-        "stretches": json.dumps(listed[:MAX_STRETCHES]),
+        "stretches": json.dumps(listed),
     }
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
-from common.untrusted_json import json_as
 from recorder.rows.devices import RowDevice
 from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, row_flags, usual_step
 
@@ -85,11 +84,6 @@ class LagFinding:
     """The result of a measurement of the lag."""
 
     lag: SteeringLag | None  # None: the pictures do not show it
-
-
-def habits_from(text: str) -> SteeringHabits | None:
-    """The habits as JSON in a log's `bc.quality`, which is untrusted; None for any other text."""
-    return json_as(text, SteeringHabits)
 
 
 def steering_habits(

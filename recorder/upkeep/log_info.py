@@ -25,7 +25,7 @@ from recorder.rows.devices import most_used_of
 from recorder.rows.label_plan import goes_by_lag, machine_of, plan_labels
 from recorder.rows.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
 from recorder.rows.row_quality import ROW_FLAGS, States, summary
-from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, habits_from, steering_habits
+from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, steering_habits
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
 
 def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
     """The habits that the log's writer noted; for other logs, measured from its rows."""
-    if noted := habits_from(quality.get("steering", "")):
+    if noted := json_as(quality.get("steering", ""), SteeringHabits):
         return noted
     states = _states(log)
     if states is None:
