@@ -39,14 +39,12 @@ class TaggedRows:
 
 def fine_rows(path: Location) -> TaggedRows:
     """The rows of a log tagged `fine`; none if the log or its tags cannot be read."""
-    try:
+    with contextlib.suppress(LogError):
         tags = tags_by_content(path)
-        if not any(tag.name == FINE for content_tags in tags.values() for tag in content_tags):
-            return TaggedRows(())
-        with Log(path) as log:  # its fingerprint
-            return TaggedRows(tags[log.fingerprint])
-    except LogError:
-        return TaggedRows(())
+        if any(tag.name == FINE for content_tags in tags.values() for tag in content_tags):
+            with Log(path) as log:  # its fingerprint
+                return TaggedRows(tags[log.fingerprint])
+    return TaggedRows(())
 
 
 def tags_of(log: Log) -> list[Tag]:

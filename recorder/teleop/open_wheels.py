@@ -35,13 +35,13 @@ def open_wheels(project: Path) -> list[OpenWheel]:
     """The wheels of processes that were started in the folder `project`, newest first."""
     wheels = []
     for path in _files():
-        if not is_being_written(path):
-            _remove_leftover(path)
-            continue
         with contextlib.suppress(OSError, msgspec.MsgspecError):
-            wheel = msgspec.json.decode(read_bounded(path, _MAX_BYTES), type=OpenWheel)
-            if wheel.key == path.stem and wheel.project == str(project.absolute()):
-                wheels.append(wheel)
+            if is_being_written(path):
+                wheel = msgspec.json.decode(read_bounded(path, _MAX_BYTES), type=OpenWheel)
+                if wheel.key == path.stem and wheel.project == str(project.absolute()):
+                    wheels.append(wheel)
+            elif time.time() - path.stat().st_mtime > _MAX_START_S:
+                path.unlink()
     return sorted(wheels, key=lambda wheel: wheel.key, reverse=True)
 
 
@@ -74,9 +74,3 @@ def _files() -> list[Path]:
     with contextlib.suppress(OSError):
         return list(_folder().glob("*.json"))
     return []
-
-
-def _remove_leftover(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        if time.time() - path.stat().st_mtime > _MAX_START_S:
-            path.unlink()
