@@ -128,15 +128,9 @@ class _Export:
         pictures = RowPictures(log, taken, self._sizes, self.skipped)
         for episode in taken.episodes:
             self._add_episode(log, taken, range(episode.start, episode.stop), pictures, left_out)
+        rows, episodes = self.frames - frames_before, self.episodes - episodes_before
         self.sessions.append(
-            CardSession(
-                _name(log),
-                log.fingerprint,
-                log.metadata,
-                self.frames - frames_before,
-                self.episodes - episodes_before,
-                taken.excluded,
-            )
+            CardSession(_name(log), log.fingerprint, log.metadata, rows, episodes, taken.excluded)
         )
 
     def _add_episode(

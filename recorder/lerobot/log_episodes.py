@@ -40,9 +40,7 @@ class LogEpisodes:
 
     states: States  # (N,)
     previous: NDArray[np.float64]  # (N, 3): steering, throttle and brake of the row before
-    places: dict[
-        Camera, NDArray[np.int64]
-    ]  # (N,) for each camera: the position of the row's picture in `pictures`
+    places: dict[Camera, NDArray[np.int64]]  # (N,) each: the position of the row's picture in `pictures`
     pictures: dict[Camera, Pictures]
     episodes: list[slice]
     excluded: int  # rows tagged `exclude`

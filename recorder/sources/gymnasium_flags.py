@@ -27,14 +27,8 @@ class GymFlags:
 GYM_FLAGS: Final = tuple(flag.name for flag in fields(GymFlags) if flag.name != "gym")
 """The flags that need `--gym`."""
 REMOVED_GYM_FLAGS: Final = {
-    f"--gym-{name}": f"name a file that has {setting}: --gym FILE.toml"
-    for name, setting in {
-        "args": "args",
-        "picture": "picture",
-        "action": "action",
-        "speed": "speed",
-        "rate": "rate_hz",
-    }.items()
+    f"--gym-{setting.removesuffix('_hz')}": f"name a file that has {setting}: --gym FILE.toml"
+    for setting in ("args", "picture", "action", "speed", "rate_hz")
 }
 
 

@@ -58,6 +58,7 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
         every = _steps_a_row(recording.rate_hz, steps_hz)
         count, most = recording.environment.episodes, car.max_steps
         time_ns, rows, rewards = CLOCK_START_NS, 0, list[float]()
+        another_episode = MeantGap(BREAK_NS / 1e9, "another episode begins")
         with (
             LogWriter(log, _metadata(recording, car), overwrite=overwrite, live=True) as writer,
             progress_bar() as bar,
@@ -72,18 +73,9 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
                     moment = car.step(car.actions.turned(action, wandering.at(step / steps_hz)))
                     if step % every == 0:  # written only now: an environment that fails at once leaves no log
                         row_ns = time_ns + round(step * 1e9 / steps_hz)
-                        command = car.actions.command(action)
-                        state = VehicleState(
-                            steering=command.steering,
-                            throttle=command.throttle,
-                            brake=command.brake,
-                            speed_mph=before.speed_mph,
-                        )
+                        state = VehicleState(**vars(car.actions.command(action)), speed_mph=before.speed_mph)
                         writer.picture("center", row_ns, rows, before.jpeg(), before.size)
-                        begins = (
-                            MeantGap(BREAK_NS / 1e9, "another episode begins") if number and not step else None
-                        )
-                        writer.vehicle(row_ns, rows, state, begins)
+                        writer.vehicle(row_ns, rows, state, another_episode if number and not step else None)
                         rows += 1
                     step, reward = step + 1, reward + moment.reward
                     bar.update(task, completed=number + (step / most if most else 0.0))

@@ -128,12 +128,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
     for channel in sorted(stored_counts.keys() | counts.keys()):
         if stored_counts.get(channel, 0) != counts[channel]:
             topic = structure.channels[channel].topic if channel in structure.channels else f"channel {channel}"
-            findings.append(
-                Finding(
-                    "wrong message counts in the summary",
-                    f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}",
-                )
-            )
+            where = f"{topic}: {counts[channel]:,} of {stored_counts.get(channel, 0):,}"
+            findings.append(Finding("wrong message counts in the summary", where))
 
 
 def _index_of(messages: list[StoredMessage]) -> dict[int, list[tuple[int, int]]]:
