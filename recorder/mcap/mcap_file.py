@@ -15,14 +15,14 @@ from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment
+from mcap.records import Attachment, McapRecord
 from mcap.records import Metadata as MetadataRecord
 
 from common.closeable import Closeable
@@ -31,6 +31,8 @@ from common.location import Location
 from common.random_access import LocalFile, open_for_reading
 from recorder.errors import LogError, recovery
 from recorder.topics import LIBRARY, PROFILE
+
+Record = TypeVar("Record", bound=McapRecord)
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD: Final = struct.Struct("<BQ")  # opcode, length of the content
@@ -278,22 +280,21 @@ class McapFile(Closeable):
         return (stored_message(records, start) for start in self.parts(records).messages)
 
     def metadata(self, offset: int) -> MetadataRecord:
-        content = self._content(offset, Opcode.METADATA)
-        try:
-            record: MetadataRecord = MetadataRecord.read(ReadDataStream(io.BytesIO(content)))
-        except UNREADABLE:
-            raise self.damaged("a metadata record cannot be read") from None
-        return record
+        return self.parsed(MetadataRecord, self._content(offset, Opcode.METADATA), "a metadata record")
 
     def attachment(self, offset: int) -> Attachment:
         content = self._content(offset, Opcode.ATTACHMENT)
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
             raise self.damaged("an attachment does not match its CRC")
+        return self.parsed(Attachment, content, "an attachment")
+
+    def parsed(self, kind: type[Record], content: bytes, name: str) -> Record:
+        """The record with this content. Raises LogError for other bytes."""
         try:
-            attachment: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
+            record: Record = kind.read(ReadDataStream(io.BytesIO(content)))  # type: ignore[attr-defined]
         except UNREADABLE:
-            raise self.damaged("an attachment cannot be read") from None
-        return attachment
+            raise self.damaged(f"{name} cannot be read") from None
+        return record
 
     def _content(self, offset: int, opcode: int) -> bytes:
         stored_opcode, length = RECORD.unpack(self.read(offset, RECORD.size))

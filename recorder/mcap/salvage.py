@@ -151,14 +151,6 @@ class _Search:
 
 def _mended(head: bytes, length: int, compression: bytes, size: int, stored_size: int) -> bytes:
     """The header of a chunk, with the times and the CRC of `head`."""
-    return b"".join(
-        (
-            RECORD.pack(Opcode.CHUNK, length - RECORD.size),
-            head[9:25],
-            _SIZE.pack(size),
-            head[33:37],
-            _LENGTH.pack(len(compression)),
-            compression,
-            _SIZE.pack(stored_size),
-        )
-    )
+    _, _, first_ns, last_ns, _, crc = CHUNK_HEADER.unpack_from(head)
+    fixed = CHUNK_HEADER.pack(Opcode.CHUNK, length - RECORD.size, first_ns, last_ns, size, crc)
+    return fixed + _LENGTH.pack(len(compression)) + compression + _SIZE.pack(stored_size)

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, McapRecord, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
@@ -347,12 +347,8 @@ def _add_definition(
     file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False
 ) -> None:
     """`exactly`: accept only bytes as a writer writes them. Outside chunks, no CRC protects a definition."""
-    try:
-        record: Schema | Channel = (Schema if opcode == Opcode.SCHEMA else Channel).read(
-            ReadDataStream(io.BytesIO(content))
-        )
-    except UNREADABLE:
-        raise file.damaged("a schema or channel cannot be read") from None
+    kind: type[Schema | Channel] = Schema if opcode == Opcode.SCHEMA else Channel
+    record = file.parsed(kind, content, "a schema or channel")
     if exactly and _written(record) != RECORD.pack(opcode, len(content)) + content:
         raise file.damaged("no schema or channel")
     if isinstance(record, Schema):
