@@ -18,10 +18,6 @@ _MAX_SUGGESTED: Final = 3
 Kind = Literal["log", "lerobot", "tub", "udacity", ""]
 
 
-def is_lerobot(folder: Path) -> bool:
-    return os.path.isfile(folder / "meta" / "info.json")  # noqa: PTH113  (never raises)
-
-
 def is_udacity(folder: Path) -> bool:
     return os.path.isfile(folder / CSV_NAME)  # noqa: PTH113  (never raises)
 
@@ -32,7 +28,7 @@ def kind_of(source: Path) -> Kind:
     is_folder = os.path.isdir(source)  # noqa: PTH112  (never raises)
     if is_bag(source) or (not is_folder and {MCAP, SQLITE} & set(source.suffixes)):
         return "log"
-    if is_lerobot(source):
+    if os.path.isfile(source / "meta" / "info.json"):  # noqa: PTH113  (never raises)
         return "lerobot"
     if is_tub(source):
         return "tub"

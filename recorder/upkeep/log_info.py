@@ -115,7 +115,7 @@ def describe(
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
         quality = _quality(log)
-        driven_s = _seconds(quality.get("driven_s")) if quality else None
+        driven_s = _seconds(quality.get("driven_s", ""))
         by_content = tags_by_content(log.path) if with_tags else {}
         fingerprint = log.fingerprint if by_content else ""  # not computed without tags
         rate_s = duration_s if driven_s is None else driven_s
@@ -247,9 +247,9 @@ def _states(log: Log) -> States | None:
     return states_of(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
 
 
-def _seconds(text: str | None) -> float | None:
+def _seconds(text: str) -> float | None:
     try:
-        seconds = float(text or "")
+        seconds = float(text)
     except ValueError:
         return None
     return seconds if math.isfinite(seconds) and seconds >= 0 else None
