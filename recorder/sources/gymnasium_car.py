@@ -60,7 +60,9 @@ class GymnasiumMoment:
         """The picture as it is recorded, and driven on."""
         is_grey = self.picture.ndim == 2 or self.picture.shape[2] == 1
         bgr = cv2.cvtColor(self.picture, cv2.COLOR_GRAY2BGR if is_grey else cv2.COLOR_RGB2BGR)
-        _, encoded = cv2.imencode(".jpg", bgr, _JPEG)
+        ok, encoded = cv2.imencode(".jpg", bgr, _JPEG)
+        if not ok:  # cannot happen with a picture that was checked; an error rather than a silent loss
+            raise RuntimeError("OpenCV could not write a JPEG")
         return encoded.tobytes()
 
 

@@ -92,8 +92,8 @@ class CameraVideos(Closeable):
             raise RecordingError(
                 f"{path}: the video cannot be decoded ({printable(str(error)[:200])}); download it again"
             ) from None
-        _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        return jpeg.tobytes()
+        is_encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        return jpeg.tobytes() if is_encoded else None
 
     def close(self) -> None:
         if self._container is not None:
