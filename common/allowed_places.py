@@ -39,8 +39,6 @@ _remembered: dict[str, list[str]] = {}
 
 
 class _Record(msgspec.Struct, frozen=True):
-    """The source folders of an index or a run."""
-
     holder: str  # the index or the run
     folders: list[str]
 

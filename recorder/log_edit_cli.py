@@ -181,7 +181,6 @@ def _made(to: Path, *codes: int) -> int:
 def rows_of_flags(
     path: Location, start_s: float | None, end_s: float | None, rows: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """The rows that the flags name."""
     from recorder.log.reader import Log  # NumPy
     from recorder.upkeep.edit import check_rows, rows_between
 

@@ -17,8 +17,6 @@ NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
 
 @dataclass(frozen=True)
 class CardSession:
-    """The card's entry of one log."""
-
     name: str
     fingerprint: str
     session: Mapping[str, str]  # the log's metadata about its origin

@@ -56,7 +56,6 @@ class DatasetFiles:
             video.add(picture)
 
     def write(self, columns: Mapping[str, pa.Array]) -> None:
-        """Write frames of the episode."""
         assert self._data is not None  # noqa: S101
         self._data.write(columns)
 

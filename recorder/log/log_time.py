@@ -60,7 +60,6 @@ class LogClock:
 
     @property
     def stands(self) -> bool:
-        """True if the simulated clock stood."""
         return self._standing.stands
 
     def row(self, received_ns: int, simulated_s: float | None) -> int:

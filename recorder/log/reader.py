@@ -165,7 +165,6 @@ class Log(Closeable):
 
     @property
     def metadata_records(self) -> list[int]:
-        """Offsets of the metadata records."""
         return sorted(self._structure.metadata_at)
 
     def metadata_record(self, offset: int) -> tuple[str, dict[str, str]]:

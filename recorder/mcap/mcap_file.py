@@ -347,7 +347,6 @@ class McapFile(Closeable):
         return self.damaged(f"{count} in {self.size:,} bytes, which hold {self._most_messages:,} at most")
 
     def damaged(self, problem: str) -> LogError:
-        """The error for this damaged file."""
         path = self.path
         if self._copy is not None:  # then the next command fetches it anew
             with contextlib.suppress(OSError):

@@ -76,7 +76,6 @@ class Structure:
 
     @property
     def image_channels(self) -> set[int]:
-        """The channels of pictures, on any topic."""
         return {
             number
             for number, channel in self.channels.items()

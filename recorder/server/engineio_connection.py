@@ -35,8 +35,6 @@ NOTICES_HUNG_UP: Final = {
 
 
 class Received(NamedTuple):
-    """A received telemetry."""
-
     sid: str
     data: object
     received_s: float
@@ -84,7 +82,6 @@ class Connection(Socket):  # type: ignore[misc]
 
     @property
     def has_unread(self) -> bool:
-        """True if data of the client is not handled yet."""
         websocket = self._websocket
         return websocket is not None and (bool(websocket.waiting) or websocket.has_unread)
 

@@ -37,7 +37,6 @@ STREAM: Final = "telemetry.stream"  # the key of a request's socket in its WSGI 
 
 
 def make_lock() -> AbstractContextManager[Any]:
-    """A lock for green threads."""
     lock: AbstractContextManager[Any] = eventlet.semaphore.Semaphore()
     return lock
 

@@ -63,7 +63,6 @@ class InFlight(Generic[T]):
 
     @property
     def holds(self) -> bool:
-        """True while a telemetry is held."""
         return self._held is not None
 
     def pushed(self, now_s: float) -> None:

@@ -51,8 +51,6 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Steer:
-    """A command to the simulator's car."""
-
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # -1..1
     decimal_separator: str = POINT  # of the simulator's machine

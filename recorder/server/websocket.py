@@ -110,7 +110,6 @@ class WebSocket:
 
     @property
     def has_unread(self) -> bool:
-        """True if there is unread data."""
         return not self._is_over and has_unread(self._stream)
 
     @property

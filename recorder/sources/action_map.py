@@ -19,8 +19,6 @@ _PART: Final = re.compile(rf"(?:({_NUMBER})|(?:({_NUMBER})\*|(-))?({'|'.join(NAM
 
 @dataclass(frozen=True)
 class CarCommand:
-    """A driver's command to a car."""
-
     steering: float  # -1 (left) .. 1 (right)
     throttle: float = 0.0  # 0 .. 1
     brake: float = 0.0  # 0 .. 1

@@ -43,8 +43,6 @@ class TubRecord:
 
 @dataclass(frozen=True)
 class Tub:
-    """A tub of either version."""
-
     version: str
     pictures: dict[str, Path]
     deleted: frozenset[int]

@@ -28,8 +28,6 @@ _MIN_SLOW, _MIN_FAST = 5, 50  # pictures of a size before a smaller, or a larger
 
 @dataclass(frozen=True)
 class EyeMoment:
-    """A moment of a drive to be shown."""
-
     step: int
     pose: Pose
     state: FrameState

@@ -67,8 +67,6 @@ class GymnasiumMoment:
 
 
 class GymnasiumCar(Closeable):
-    """A Gymnasium environment to drive."""
-
     def __init__(self, flags: GymFlags) -> None:
         """Makes the environment.
 

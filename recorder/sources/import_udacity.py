@@ -53,7 +53,6 @@ def import_udacity(
 
 
 def udacity_metadata(folder: Path, rate_hz: float | None, car: Car | None) -> dict[str, str]:
-    """The metadata of a Udacity recording's log."""
     metadata = recording_metadata("udacity", folder, car)
     return metadata if rate_hz is None else metadata | {"clock": describe_clock(rate_hz), **FROM_1970}
 

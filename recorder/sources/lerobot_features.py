@@ -46,8 +46,6 @@ class FeatureNumber:
 
 @dataclass(frozen=True)
 class LeRobotFeatures:
-    """The features of a dataset to import."""
-
     steering: FeatureNumber
     throttle: FeatureNumber | None
     brake: FeatureNumber | None

@@ -183,7 +183,6 @@ class _Session:
         self.show(text)
 
     def show(self, text: str) -> None:
-        """Show a text in the status line, or print it."""
         self._text = text
         self._status.show_or_print(text)
 

@@ -74,7 +74,6 @@ class PersonOfTelemetry:
         return self._braking_since_s is None and self.recording.takes_row(self.control)
 
     def has_row(self, time_ns: int) -> None:
-        """Note a row that was recorded."""
         self.recording.add(time_ns, self.rows)
         self.rows += 1
         self._first_ns, self._last_ns = self._first_ns or time_ns, time_ns

@@ -42,8 +42,6 @@ def is_whole(path: Location) -> bool:
 
 @dataclass(frozen=True)
 class Checked:
-    """The result of a check."""
-
     path: Location
     messages: int
     pictures: int  # decoded

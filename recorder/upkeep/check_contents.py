@@ -46,8 +46,6 @@ MISFIT: Final = "messages that do not match their schema"
 
 
 class Finding(NamedTuple):
-    """A fault of a log."""
-
     kind: str
     where: str
 
@@ -91,7 +89,6 @@ class Contents:
 
     @property
     def pictures(self) -> int:
-        """The number of decoded pictures."""
         return self._image_check.decoded
 
     def add(self, records: bytes, message: StoredMessage) -> None:

@@ -44,8 +44,6 @@ from recorder.upkeep.check import is_whole
 
 @dataclass(frozen=True)
 class Copied:
-    """The result of copying one log."""
-
     place: Location
     size: int  # bytes
     is_new: bool  # False: the same log was there already

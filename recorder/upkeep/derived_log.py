@@ -25,8 +25,6 @@ LAST_ROW: Final = 2**32 - 1  # MCAP's sequence numbers have 32 bits
 
 @dataclass(frozen=True)
 class Written:
-    """A new log."""
-
     path: Path
     messages: int
     rows: int
