@@ -29,11 +29,16 @@ def consecutive(numbers: Sequence[int]) -> list[tuple[int, int]]:
     return [(int(run[0]), int(run[-1])) for run in np.split(values, cuts) if len(run)]
 
 
+def runs(changes: NDArray[np.bool_], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The first and last position of each run among `count` positions. `changes` (count - 1,): the next position
+    begins another run."""
+    edges = np.flatnonzero(changes)
+    return np.concatenate([[0], edges + 1])[:count], np.append(edges, count - 1)[:count]
+
+
 def stretches_within(mask: NDArray[np.bool_], part: NDArray[np.int64]) -> list[tuple[int, int]]:
     """The first and last position of every run of True in a mask (N,) within one part. `part` (N,) has the number
     of the part of each position."""
-    edges = np.flatnonzero((mask[1:] != mask[:-1]) | (part[1:] != part[:-1]))
-    first = np.concatenate([[0], edges + 1])[: len(mask)]
-    last = np.append(edges, len(mask) - 1)[: len(mask)]
+    first, last = runs((mask[1:] != mask[:-1]) | (part[1:] != part[:-1]), len(mask))
     is_run = mask[first]
     return list(zip(first[is_run].tolist(), last[is_run].tolist(), strict=True))

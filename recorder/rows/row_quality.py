@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import SPEED_RANGE_MPH
-from common.stretches import stretches, stretches_within
+from common.stretches import runs, stretches, stretches_within
 from recorder.rows.crashes import crashed_rows, manoeuvring_rows
 from recorder.rows.devices import RowDevice, most_used
 from recorder.rows.driving_backwards import driven_backwards
@@ -195,9 +195,7 @@ def _parked(standing: NDArray[np.bool_], time_s: Values, drive: NDArray[np.int64
 
 def _stuck(states: States, drive: NDArray[np.int64], standing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     changes = (states.steering[1:] != states.steering[:-1]) | (np.diff(drive) != 0) | (np.diff(standing) != 0)
-    edges = np.flatnonzero(changes)
-    first = np.concatenate([[0], edges + 1])[: len(drive)]
-    last = np.append(edges, len(drive) - 1)[: len(first)]
+    first, last = runs(changes, len(drive))
     limit_s = np.where(states.steering[first] == 0, STUCK_AT_ZERO_S, STUCK_S)
     held_ns = states.time_ns[last] - states.time_ns[first]
     return np.repeat(~standing[first] & (held_ns >= limit_s * 1e9), last - first + 1)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
+from common.stretches import runs
 from recorder.rows.devices import RowDevice
 from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, row_flags, usual_step
 
@@ -168,11 +169,8 @@ def _correlation(a: Values, b: Values) -> float | None:
 def _presses(steering: Values, drive: NDArray[np.int64]) -> NDArray[np.int64]:
     """The number of rows in each stretch of steering other than 0."""
     pressed = steering != 0
-    edge = np.concatenate([[True], (np.diff(pressed) != 0) | (np.diff(drive) != 0)])[: len(pressed)]
-    starts = np.flatnonzero(edge)
-    lengths = np.diff(np.append(starts, len(pressed)))
-    pressed_rows: NDArray[np.int64] = lengths[pressed[starts]]
-    return pressed_rows
+    first, last = runs((np.diff(pressed) != 0) | (np.diff(drive) != 0), len(pressed))
+    return (last - first + 1)[np.flatnonzero(pressed[first])]
 
 
 def _is_of_keys(steering: Values, time_ns: NDArray[np.int64], same: NDArray[np.bool_]) -> bool:
