@@ -53,8 +53,7 @@ def import_csv(
 
     `source`: a csv, or a folder that has one. `columns`: its columns, as `image=frame`, `steering=angle`; also
     `left`, `right`, `throttle`, `brake`, `speed_mph`, and `time_s` or another unit. `rate_hz`: rows a second,
-    needed without times; the log then begins in 1970, and skipped rows count. `car`: the recorded car. Raises
-    RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    needed without times; the log then begins in 1970, and skipped rows count. Else as `import_udacity`.
     """
     chosen = CsvColumns.of(columns)
     if chosen.has_times and rate_hz is not None:

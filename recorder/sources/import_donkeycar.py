@@ -42,8 +42,7 @@ def import_tub(
     """Write the DonkeyCar tub in `folder` to `log`; its pictures byte for byte, its records in order.
 
     DonkeyCar's angle is our steering. Its throttle is -1..1: values below 0 become the brake. Speed is NaN.
-    `rate_hz`: records a second for a tub without times; 20 by default. `car`: the recorded car.
-    Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    `rate_hz`: records a second for a tub without times; 20 by default. Else as `import_udacity`.
     """
     events = SkippedEvents()
     skipped = events.skipped

@@ -51,8 +51,7 @@ def import_lerobot(
 
     `topics` names the feature with the camera's pictures, and the steering's number, such as `action.steering` or
     `action.0`. Without them, the features' names decide. Episodes are drives. Our own exports keep their times and
-    all digits; times of other datasets begin in 1970. `car`: the recorded car; our exports have it.
-    Raises RecordingError if nothing in it can be used, and UserError if `log` exists and `overwrite` is off.
+    all digits; times of other datasets begin in 1970. `car`: our exports have it. Else as `import_udacity`.
     """
     topics = topics or Topics()
     dataset = open_dataset(folder)
@@ -128,11 +127,8 @@ def _frames(
 ) -> Iterator[ImportedRow]:
     images = {camera: key for camera, key in chosen.cameras.items() if camera not in videos}
     time_columns = [LOG_TIME] if chosen.has_log_time else []
-    columns = list(
-        dict.fromkeys(
-            ["episode_index", "timestamp", *time_columns, *(n.feature for n in chosen.numbers), *images.values()]
-        )
-    )
+    numbers = (number.feature for number in chosen.numbers)
+    columns = list(dict.fromkeys(["episode_index", "timestamp", *time_columns, *numbers, *images.values()]))
     clock, counts = _Clock(), dict[int, int]()
     another_episode = MeantGap(APART_NS / 1e9, "another episode begins")
     own_gaps = _own_gaps(dataset) if chosen.has_log_time else {}

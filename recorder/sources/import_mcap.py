@@ -103,10 +103,8 @@ def import_mcap(
     `topics` names the topic of the pictures (foxglove.CompressedImage or sensor_msgs/CompressedImage, JPEG or
     PNG), and the topic and field of the steering, such as /drive.drive.steering_angle or /joy.axes.0. Its scale
     converts to -1 (left) .. 1 (right): -1 for ROS's -1..1, -2.29 for radians.
-    Pictures are left out if the last steering is over a second old. Speed is NaN, the pedals are 0. `car`: the
-    recorded car.
-    Raises RecordingError if nothing in it can be used, LogError if a chunk of it is damaged, and UserError if
-    `log` exists and `overwrite` is off.
+    Pictures are left out if the last steering is over a second old. Speed is NaN, the pedals are 0. Raises
+    LogError if a chunk of it is damaged. Else as `import_udacity`.
     """
     if topics == Topics() and is_own_log(source):
         raise RecordingError(f"{source}: a log of this toolkit, {_what_to_do_instead(source, log)}")

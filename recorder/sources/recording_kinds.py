@@ -31,8 +31,7 @@ def import_recording(
     """Import a recording of any kind, `source`, to `log`.
 
     `topics`: for another program's MCAP log or a ROS 2 bag; optional for a LeRobot dataset. `columns`: for
-    pictures with a csv, as for `import_csv`. `rate_hz`: as for `import_tub`. `car`: the recorded car. Raises
-    RecordingError if nothing in `source` can be used, and UserError if `log` exists and `overwrite` is off.
+    pictures with a csv, as for `import_csv`. `rate_hz`: as for `import_tub`. Else as `import_udacity`.
     """
     refuse_existing(log, overwrite)  # before minutes of reading
     topics = topics or Topics()

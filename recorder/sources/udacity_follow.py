@@ -50,11 +50,7 @@ def watch_udacity(
     """Write the recording in `folder` to `log` while it grows. The folder and its csv may not exist yet.
 
     Ends on Ctrl-C or `kill`, or `idle_s` after the last new row or picture. In other threads than the main thread,
-    signals do not arrive. `on_started` gets the path of the growing file. `rate_hz`, `car`: as for
-    `import_udacity`.
-
-    Raises RecordingError if no row was usable, and UserError if `log` exists and `overwrite` is off, or if the
-    disk fails.
+    signals do not arrive. `on_started` gets the path of the growing file. Else as `import_udacity`.
     """
     check_rate(rate_hz)
     metadata = udacity_metadata(folder, rate_hz, car)
