@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.stretches import stretches_within
+
+if TYPE_CHECKING:
+    from recorder.rows.row_quality import Motion
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,26 +33,23 @@ WAY_OUT_SPEED_SHARE: Final = 1 / 2
 BETWEEN_S: Final = 5.0  # less time between two crashes or reversals is not driving
 
 
-def impact_rows(speed_mph: Values, time_s: Values) -> Mask:
-    """The rows (N,) right after an impact; arguments as of `crashed_rows`."""
-    hit: Mask = np.interp(time_s - IMPACT_S, time_s, speed_mph) - speed_mph >= IMPACT_MPH
+def impact_rows(motion: Motion) -> Mask:
+    """The rows (N,) right after an impact."""
+    before_mph = np.interp(motion.time_s - IMPACT_S, motion.time_s, motion.speed_mph)
+    hit: Mask = before_mph - motion.speed_mph >= IMPACT_MPH
     return hit
 
 
-def crashed_rows(
-    speed_mph: Values, steering: Values, standing: Mask, usual_mph: float, time_s: Values, drive: NDArray[np.int64]
-) -> Mask:
+def crashed_rows(motion: Motion, steering: Values) -> Mask:
     """The rows (N,) of crashes: slow stretches in which the car stands, and which begin with an impact or have the
-    wheels turned far for long. A slow stretch at the beginning of a drive is a start, not a crash.
-
-    `speed_mph`: without sign, NaN if unknown. `time_s`: from `elapsed_s`. `drive`: the number of each row's drive.
-    """
+    wheels turned far for long. A slow stretch at the beginning of a drive is a start, not a crash."""
+    time_s, drive, standing = motion.time_s, motion.drive, motion.standing
     crashed = np.zeros(len(drive), np.bool_)
-    if not usual_mph > 0 or not standing.any():  # NaN: it never moves
+    if not motion.usual_mph > 0 or not standing.any():  # NaN: it never moves
         return crashed
-    is_hit = impact_rows(speed_mph, time_s)
+    is_hit = impact_rows(motion)
     turned = np.abs(steering) >= CRASH_LOCK
-    for first, last in stretches_within(speed_mph < CRASH_SPEED_SHARE * usual_mph, drive):
+    for first, last in stretches_within(motion.speed_mph < CRASH_SPEED_SHARE * motion.usual_mph, drive):
         starts_drive = first == 0 or drive[first - 1] != drive[first]
         is_brief = time_s[last] - time_s[first] < CRASH_S
         if starts_drive or is_brief or not standing[first : last + 1].any():
@@ -60,26 +60,19 @@ def crashed_rows(
     return crashed
 
 
-def manoeuvring_rows(
-    crashed: Mask,
-    backwards: Mask,
-    speed_mph: Values,
-    steering: Values,
-    usual_mph: float,
-    time_s: Values,
-    drive: NDArray[np.int64],
-) -> Mask:
+def manoeuvring_rows(motion: Motion, steering: Values, crashed: Mask, backwards: Mask) -> Mask:
     """The rows (N,) around crashes and driving backwards: the approach to an impact, the way out until the car
-    drives again, and short times between two of them. Arguments as of `crashed_rows`."""
-    manoeuvring = np.zeros(len(drive), np.bool_)
+    drives again, and short times between two of them."""
+    time_s = motion.time_s
+    manoeuvring = np.zeros(len(time_s), np.bool_)
     is_odd = crashed | backwards
     if not is_odd.any():
         return manoeuvring
-    is_hit = impact_rows(speed_mph, time_s)
-    is_leaving = speed_mph < WAY_OUT_SPEED_SHARE * usual_mph  # False for an unknown speed
+    is_hit = impact_rows(motion)
+    is_leaving = motion.speed_mph < WAY_OUT_SPEED_SHARE * motion.usual_mph  # False for an unknown speed
     is_leaving |= np.abs(steering) >= CRASH_LOCK
     last_before = -1  # row of the previous stretch
-    for first, last in stretches_within(is_odd, drive):
+    for first, last in stretches_within(is_odd, motion.drive):
         before = np.searchsorted(time_s, time_s[first] - IMPACT_LEADS_S)
         hits = before + np.flatnonzero(is_hit[before : last + 1])
         if crashed[first : last + 1].any() and len(hits):

@@ -23,8 +23,8 @@ from recorder.rows.driving_backwards import PEDAL, SURELY_MPH, driven_backwards
 from recorder.rows.road_edge import off_road_rows
 from recorder.rows.row_quality import (
     NOT_LEARNT,
+    Motion,
     States,
-    Values,
     drive_numbers,
     elapsed_s,
     row_flags,
@@ -134,9 +134,8 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
     flags = row_flags(states)
     time_s = elapsed_s(states.time_ns)
     speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), states.speed_mph, np.nan))
-    standing = flags["standing_still"]
-    usual_mph = usual_speed_mph(states)
-    is_hit = impact_rows(speed_mph, time_s)
+    motion = Motion(speed_mph, flags["standing_still"], usual_speed_mph(states), time_s, drive)
+    is_hit = impact_rows(motion)
 
     def fastest_mph(rows: slice) -> float:
         return float(np.nanmax(speed_mph[rows], initial=0.0))
@@ -171,44 +170,44 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
     yield "backwards", perhaps, False, from_a_stand
     yield "stuck_steering", flags["stuck_steering"], False, lambda rows: f"at {states.steering[rows][0]:g}"
-    coasting = coasting_rows(speed_mph, states, standing, usual_mph, time_s, drive)
-    yield "coasting", coasting, False, lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal"
+    yield (
+        "coasting",
+        coasting_rows(motion, states),
+        False,
+        lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal",
+    )
 
     def how_slow(rows: slice) -> str:
-        return f"at most {fastest_mph(rows):.1f} mph, where {usual_mph:.0f} mph is usual"
+        return f"at most {fastest_mph(rows):.1f} mph, where {motion.usual_mph:.0f} mph is usual"
 
-    yield "creeping", creeping_rows(speed_mph, standing, usual_mph, time_s, drive), False, how_slow
+    yield "creeping", creeping_rows(motion), False, how_slow
 
 
-def creeping_rows(
-    speed_mph: Values, standing: Mask, usual_mph: float, time_s: Values, drive: NDArray[np.int64]
-) -> Mask:
-    """The rows (N,) in which the car moves far below its usual speed for long, including short stops.
-    `speed_mph`: without sign, NaN if unknown; `time_s`: from `elapsed_s`."""
-    creeping = np.zeros(len(drive), np.bool_)
-    step_s = np.minimum(np.diff(time_s, append=time_s[-1:]), 1.0)
-    for first, last in stretches_within(speed_mph < CREEP_SPEED_SHARE * usual_mph, drive):
-        moves = ~standing[first : last + 1]
+def creeping_rows(motion: Motion) -> Mask:
+    """The rows (N,) in which the car moves far below its usual speed for long, including short stops."""
+    creeping = np.zeros(len(motion.drive), np.bool_)
+    step_s = np.minimum(np.diff(motion.time_s, append=motion.time_s[-1:]), 1.0)
+    for first, last in stretches_within(motion.speed_mph < CREEP_SPEED_SHARE * motion.usual_mph, motion.drive):
+        moves = ~motion.standing[first : last + 1]
         if step_s[first : last + 1][moves].sum() >= CREEP_S:
             moving = first + np.flatnonzero(moves)
             creeping[moving[0] : moving[-1] + 1] = True
     return creeping
 
 
-def coasting_rows(
-    speed_mph: Values, states: States, standing: Mask, usual_mph: float, time_s: Values, drive: NDArray[np.int64]
-) -> Mask:
-    """The rows (N,) in which the car rolls to a halt without throttle and brake; none if no throttle was recorded.
-    Arguments as of `creeping_rows`."""
-    coasting = np.zeros(len(drive), np.bool_)
+def coasting_rows(motion: Motion, states: States) -> Mask:
+    """The rows (N,) in which the car rolls to a halt without throttle and brake; none if no throttle was
+    recorded."""
+    speed_mph, time_s = motion.speed_mph, motion.time_s
+    coasting = np.zeros(len(time_s), np.bool_)
     is_pushed = states.throttle > PEDAL
     if not is_pushed.any():
         return coasting
     rises = np.diff(speed_mph, prepend=speed_mph[:1]) > _ROUNDING_MPH
     rolls = ~is_pushed & ~(states.brake > PEDAL) & ~rises & np.isfinite(speed_mph)
-    for first, last in stretches_within(rolls, drive):
-        halt = np.flatnonzero(standing[first : last + 1])
-        if not len(halt) or speed_mph[first] < COAST_SPEED_SHARE * usual_mph:
+    for first, last in stretches_within(rolls, motion.drive):
+        halt = np.flatnonzero(motion.standing[first : last + 1])
+        if not len(halt) or speed_mph[first] < COAST_SPEED_SHARE * motion.usual_mph:
             continue
         stop = first + int(halt[0])
         coasting[first : stop + 1] = time_s[stop] - time_s[first] >= COAST_S

@@ -74,6 +74,17 @@ class States:
         return States(*columns)
 
 
+@dataclass(frozen=True)
+class Motion:
+    """How the car of a log moves; arrays (N,), a number a row."""
+
+    speed_mph: Values  # without sign, NaN if unknown
+    standing: NDArray[np.bool_]
+    usual_mph: float  # from `usual_speed_mph`
+    time_s: Values  # from `elapsed_s`
+    drive: NDArray[np.int64]  # from `drive_numbers`
+
+
 class StatesWritten:
     """The states of a log while it is written: 48 bytes a row."""
 
@@ -156,12 +167,11 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
     """
     drive, time_s = drive_numbers(states.time_ns), elapsed_s(states.time_ns)
     standing = np.abs(states.speed_mph) < STANDING_MPH  # False for an unknown speed
-    usual_mph = usual_speed_mph(states)
     speed_mph = np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), np.nan)
     backwards = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).sure
-    speed_mph = np.abs(speed_mph)
-    crashed = crashed_rows(speed_mph, states.steering, standing, usual_mph, time_s, drive)
-    manoeuvring = manoeuvring_rows(crashed, backwards, speed_mph, states.steering, usual_mph, time_s, drive)
+    motion = Motion(np.abs(speed_mph), standing, usual_speed_mph(states), time_s, drive)
+    crashed = crashed_rows(motion, states.steering)
+    manoeuvring = manoeuvring_rows(motion, states.steering, crashed, backwards)
     in_range = np.abs(states.steering) <= 1  # False for NaN too
     for pedal in (states.throttle, states.brake):
         in_range &= (pedal >= 0) & (pedal <= 1)
@@ -175,7 +185,7 @@ def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
         "crash": crashed,
         "backwards": backwards,
         "manoeuvring": manoeuvring,
-        "parked": _parked(standing, time_s, drive) & np.isfinite(usual_mph),
+        "parked": _parked(motion) & np.isfinite(motion.usual_mph),
     }
 
 
@@ -186,10 +196,10 @@ def usual_speed_mph(states: States) -> float:
     return float(np.median(moving)) if len(moving) else math.nan
 
 
-def _parked(standing: NDArray[np.bool_], time_s: Values, drive: NDArray[np.int64]) -> NDArray[np.bool_]:
-    parked = np.zeros(len(drive), np.bool_)
-    for first, last in stretches_within(standing, drive):
-        parked[first : last + 1] = time_s[last] - time_s[first] >= PARKED_S
+def _parked(motion: Motion) -> NDArray[np.bool_]:
+    parked = np.zeros(len(motion.drive), np.bool_)
+    for first, last in stretches_within(motion.standing, motion.drive):
+        parked[first : last + 1] = motion.time_s[last] - motion.time_s[first] >= PARKED_S
     return parked
 
 
