@@ -170,12 +170,8 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
     perhaps = driven_backwards(speed_mph, states.throttle, states.brake, time_s, drive).perhaps
     yield "backwards", perhaps, False, from_a_stand
     yield "stuck_steering", flags["stuck_steering"], False, lambda rows: f"at {states.steering[rows][0]:g}"
-    yield (
-        "coasting",
-        coasting_rows(motion, states),
-        False,
-        lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal",
-    )
+    coasting = coasting_rows(motion, states)
+    yield "coasting", coasting, False, lambda rows: f"from {fastest_mph(rows):.0f} mph without a pedal"
 
     def how_slow(rows: slice) -> str:
         return f"at most {fastest_mph(rows):.1f} mph, where {motion.usual_mph:.0f} mph is usual"
