@@ -172,8 +172,9 @@ class StoredFolder(Closeable):
     def _upload_file(self, name: str) -> None:
         path = self.local / name
         for attempt in range(_MAX_WRITERS + 1):
-            status, sha256 = path.stat(), _sha256_of(path)
-            copy = self._copies.get(name)
+            status, copy = path.stat(), self._copies.get(name)
+            with path.open("rb") as stream:
+                sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
             try:
                 version = put_file(self.url.joined(name), path, None if copy is None else _version_of(copy))
             except ObjectChangedError:
@@ -293,11 +294,6 @@ def _record_entry(stored: StoredObject, recorded: Copy | None) -> Copy:
     if recorded is not None and _version_of(recorded).name == stored.version:
         return recorded
     return Copy(stored.size, stored.written_ns, stored.version)
-
-
-def _sha256_of(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _append_lines(path: Path, more: bytes) -> None:

@@ -33,7 +33,6 @@ class CameraVideos(Closeable):
     def __init__(self, dataset: LeRobotFolder, key: str) -> None:
         """Raises RecordingError if a video is missing, UserError if PyAV is."""
         self._av = require_av()
-        self._dataset = dataset
         if dataset.video_path != VIDEO_PATH:
             raise RecordingError(
                 f"{dataset.root}: videos in {printable(dataset.video_path[:100])!r}; expected {VIDEO_PATH}"
