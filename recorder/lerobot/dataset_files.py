@@ -14,7 +14,6 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from recorder.lerobot import dataset_format as form
-from recorder.lerobot.dataset_format import DATA_FILE_MB, DATA_PATH, IMAGE_TYPE, MEBIBYTE, FileNumber
 from recorder.lerobot.log_episodes import Sizes
 from recorder.lerobot.video_files import VideoFiles
 
@@ -122,8 +121,8 @@ class DataFiles:
     Each episode is in one file. It begins a new file if the old one might become larger than the format's size.
     """
 
-    def __init__(self, root: Path, schema: pa.Schema, file_bytes: int = DATA_FILE_MB * MEBIBYTE) -> None:
-        self.number = FileNumber()  # of the file that the episode is in
+    def __init__(self, root: Path, schema: pa.Schema, file_bytes: int = form.DATA_FILE_MB * form.MEBIBYTE) -> None:
+        self.number = form.FileNumber()  # of the file that the episode is in
         self._root = root
         self._file_bytes = file_bytes
         self._schema = schema
@@ -152,10 +151,10 @@ class DataFiles:
             self._writer, self._bytes = None, 0
 
     def _begun(self) -> pq.ParquetWriter:
-        path = self._root / self.number.path(DATA_PATH)
+        path = self._root / self.number.path(form.DATA_PATH)
         path.parent.mkdir(parents=True, exist_ok=True)
-        pictures = [f"{field.name}.bytes" for field in self._schema if field.type == IMAGE_TYPE]
-        others = [_leaf(field) for field in self._schema if field.type != IMAGE_TYPE]
+        pictures = [f"{field.name}.bytes" for field in self._schema if field.type == form.IMAGE_TYPE]
+        others = [_leaf(field) for field in self._schema if field.type != form.IMAGE_TYPE]
         return pq.ParquetWriter(
             path,
             self._schema,

@@ -35,7 +35,6 @@ from recorder.mcap.picture_places import Pictures, is_about_places, read_chunk_c
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import read_structure
 from recorder.rows.devices import DEVICES
-from recorder.topics import camera_topic, prediction_topic
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
     import pyarrow as pa
@@ -260,7 +259,7 @@ class Log(Closeable):
 
         parts = []
         for camera in CAMERAS:
-            pictures = self.pictures(camera_topic(camera))
+            pictures = self.pictures(topics.camera_topic(camera))
             columns = {
                 "row": pictures.sequence,
                 "camera": pa.array([camera] * len(pictures.sequence), pa.string()),
@@ -299,7 +298,7 @@ class Log(Closeable):
 
     def picture(self, row: int, camera: Camera = "center") -> bytes:
         """The JPEG or PNG of a camera at a row, byte for byte. Raises LogError if there is none."""
-        pictures = self.pictures(camera_topic(camera))
+        pictures = self.pictures(topics.camera_topic(camera))
         (at,) = np.nonzero(pictures.sequence == row)
         if not len(at):
             raise LogError(f"{self.path}: row {row} has no picture of the {camera} camera")
@@ -348,7 +347,7 @@ class Log(Closeable):
         """The predictions of the network of a run, in a log of predictions."""
         from recorder.bc_pb2 import Prediction
 
-        return self._decoded(prediction_topic(run), Prediction)
+        return self._decoded(topics.prediction_topic(run), Prediction)
 
     def messages_of(
         self, chunk: Chunk, skipped: Skipped | None = None

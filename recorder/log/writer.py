@@ -41,18 +41,8 @@ from recorder.rows.label_plan import goes_by_lag, machine_of
 from recorder.rows.odd_stretches import odd_summary
 from recorder.rows.row_quality import States, StatesWritten, summary
 from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
-from recorder.topics import (
-    CAMERA_TOPICS,
-    COMPRESSED_IMAGE,
-    LOG_MESSAGE,
-    POSE_IN_FRAME,
-    TOPICS,
-    VEHICLE_STATE,
-    camera_topic,
-    prediction_topic,
-)
 
-_CENTER: Final = camera_topic("center")
+_CENTER: Final = topics.camera_topic("center")
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush may be late, and the disk takes time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
@@ -149,8 +139,8 @@ class LogWriter:
     ) -> None:
         """Write a camera's JPEG or PNG, byte for byte. `size`: its width and height, if known already."""
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
-        self._sizes.add(camera_topic(camera), sequence, size or self._size_reader.width_and_height(picture))
-        self._image(camera_topic(camera), time_ns, sequence, picture, kind)
+        self._sizes.add(topics.camera_topic(camera), sequence, size or self._size_reader.width_and_height(picture))
+        self._image(topics.camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
         """Write the network's input picture, as PNG (lossless)."""
@@ -175,13 +165,14 @@ class LogWriter:
 
     def message(self, topic: str, time_ns: int, sequence: int, message: Message) -> None:
         """Write a message on any topic of the registry. Raises ValueError for another type of message."""
-        if TOPICS[topic].message.name != message.DESCRIPTOR.full_name:
-            raise ValueError(f"{topic}: a {message.DESCRIPTOR.full_name}, not a {TOPICS[topic].message.name}")
+        name, expected = message.DESCRIPTOR.full_name, topics.TOPICS[topic].message.name
+        if name != expected:
+            raise ValueError(f"{topic}: a {name}, not a {expected}")
         self._write(topic, message, time_ns, sequence)
 
     def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
         """Write the prediction of a run's network for a recorded picture."""
-        self._write(prediction_topic(_utf8(run)), prediction, time_ns, sequence)
+        self._write(topics.prediction_topic(_utf8(run)), prediction, time_ns, sequence)
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
         self._write(topics.POSE, pose, time_ns, sequence)
@@ -202,7 +193,7 @@ class LogWriter:
         nothing, if a vehicle state cannot be decoded."""
         is_picture = is_image_channel(schema, channel)
         state: VehicleState | None = None
-        if channel.topic == topics.VEHICLE and schema is not None and schema.name == VEHICLE_STATE.name:
+        if channel.topic == topics.VEHICLE and schema is not None and schema.name == topics.VEHICLE_STATE.name:
             try:
                 state = VehicleState.FromString(message.data)
             except DecodeError:
@@ -215,15 +206,15 @@ class LogWriter:
         self._message(add, message.log_time, message.publish_time, sequence, message.data)
         if state is not None:
             self._note_row(sequence, message.log_time, state)
-        elif channel.topic == topics.POSE and schema is not None and schema.name == POSE_IN_FRAME.name:
+        elif channel.topic == topics.POSE and schema is not None and schema.name == topics.POSE_IN_FRAME.name:
             with contextlib.suppress(DecodeError):
                 self._places.add(sequence, PoseInFrame.FromString(message.data).pose)
-        elif channel.topic == topics.EVENTS and schema is not None and schema.name == LOG_MESSAGE.name:
+        elif channel.topic == topics.EVENTS and schema is not None and schema.name == topics.LOG_MESSAGE.name:
             with contextlib.suppress(DecodeError):
                 self._not_recorded.add_event(message.log_time, LogMessage.FromString(message.data).message)
         elif channel.topic == topics.PILOT_COMMAND:
             self._has_commands = True
-        elif is_picture and channel.topic in CAMERA_TOPICS:
+        elif is_picture and channel.topic in topics.CAMERA_TOPICS:
             if channel.topic == _CENTER:
                 self._center_channels.add(self._copied_channels.number_of(schema, channel))
             at, length = image_data(message.data, 0, len(message.data))
@@ -358,7 +349,7 @@ class LogWriter:
     def _write(self, topic: str, message: Message, time_ns: int, sequence: int) -> None:
         add = self._adders.get(topic)
         if add is None:
-            is_picture = message.DESCRIPTOR.full_name == COMPRESSED_IMAGE.name
+            is_picture = message.DESCRIPTOR.full_name == topics.COMPRESSED_IMAGE.name
             number_of = cache(partial(self._register, topic, type(message)))
             add = self._adders[topic] = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, time_ns, time_ns, sequence, message.SerializeToString())

@@ -26,7 +26,6 @@ from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
 from recorder.rows.odd_stretches import OddStretch, odd_stretches, rows_named
 from recorder.rows.row_quality import STANDING_MPH, StatesWritten, row_flags
-from recorder.topics import CAMERA_TOPICS, LOG_MESSAGE, POSE_IN_FRAME, TOPICS, VEHICLE_STATE, camera_topic
 
 Content = TypeVar("Content", bound=Message)
 
@@ -71,10 +70,11 @@ class Contents:
             numbers = {number for number, topic in self._topics.items() if topic == topic_name}
             return {number for number in numbers if structure.is_protobuf(number, schema)}
 
-        self._vehicle = channels(topics.VEHICLE, VEHICLE_STATE.name)
-        self._events = channels(topics.EVENTS, LOG_MESSAGE.name)
-        self._poses = channels(topics.POSE, POSE_IN_FRAME.name)
-        self._in_order = {n for n, topic in self._topics.items() if topic in TOPICS and TOPICS[topic].is_in_order}
+        self._vehicle = channels(topics.VEHICLE, topics.VEHICLE_STATE.name)
+        self._events = channels(topics.EVENTS, topics.LOG_MESSAGE.name)
+        self._poses = channels(topics.POSE, topics.POSE_IN_FRAME.name)
+        in_order = {name for name, topic in topics.TOPICS.items() if topic.is_in_order}
+        self._in_order = {number for number, topic in self._topics.items() if topic in in_order}
         self._bad_telemetry: Counter[str] = Counter()
         self._not_recorded = NotRecorded()
         self._findings = findings
@@ -173,9 +173,9 @@ class Contents:
 
     def _cameras(self, *, has_rows: bool) -> frozenset[str]:
         """The topics on which every row should have a picture, also of a camera without any."""
-        recorded = CAMERA_TOPICS.intersection(self._topics.values())
-        expected = {camera_topic("center")} if has_rows else set()
-        others = topics.PICTURE_TOPICS - CAMERA_TOPICS
+        recorded = topics.CAMERA_TOPICS.intersection(self._topics.values())
+        expected = {topics.camera_topic("center")} if has_rows else set()
+        others = topics.PICTURE_TOPICS - topics.CAMERA_TOPICS
         return (recorded | expected | self._image_check.pictures.keys()) - others
 
     def _check_pictures(

@@ -30,7 +30,6 @@ from recorder.log.tags import Tag
 from recorder.log.writer import LogWriter
 from recorder.mcap.compressed_image import is_image_channel
 from recorder.rows.row_quality import drive_numbers
-from recorder.topics import ROW_TOPICS
 from recorder.upkeep.derived_log import (
     LAST_ROW,
     Written,
@@ -61,7 +60,7 @@ def trim(path: Path, to: Path, rows: tuple[int, int], *, overwrite: bool = False
         first_ns, last_ns = int(time_ns[is_chosen].min()), int(time_ns[is_chosen].max())
 
         def is_in(channel: Channel, message: McapMessage) -> bool:
-            if channel.topic in ROW_TOPICS:
+            if channel.topic in topics.ROW_TOPICS:
                 return rows[0] <= message.sequence <= rows[1]
             return first_ns <= message.log_time <= last_ns
 
@@ -108,7 +107,7 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
             first, rows = following, list[int]()
             for schema, channel, message in _messages(log, "merging"):
                 sequence = message.sequence
-                if channel.topic in ROW_TOPICS:
+                if channel.topic in topics.ROW_TOPICS:
                     sequence += first
                     if sequence > LAST_ROW:
                         raise LogError(f"{log.path}: row {message.sequence} would have a number above {LAST_ROW}")
@@ -163,7 +162,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         last_drive = {True: 0, False: 0}  # of the last picture, and of the last other message
         for schema, channel, message in _messages(log, "splitting"):
             is_picture = is_image_channel(schema, channel)
-            if channel.topic in ROW_TOPICS:
+            if channel.topic in topics.ROW_TOPICS:
                 last_drive[is_picture] = drive_of.get(message.sequence, last_drive[is_picture])
             drive = last_drive[is_picture]
             writers[drive].copy(schema, channel, message, message.sequence)

@@ -22,7 +22,6 @@ from recorder.log.tagged_rows import bad_rows
 from recorder.log.tags import Tag, read_tags
 from recorder.mcap.mcap_file import Chunk
 from recorder.rows.odd_stretches import rows_named
-from recorder.topics import CAMERA_TOPICS, PICTURE_TOPICS, ROW_TOPICS, VEHICLE
 from recorder.upkeep.check_contents import MISFIT
 from recorder.upkeep.check_structure import is_damaged_beside_chunks
 from recorder.upkeep.derived_log import Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
@@ -65,7 +64,7 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             for chunk in track(log.chunks, f"recovering {path.name}", len(log.chunks)):
                 try:
                     for schema, channel, message in log.messages_of(chunk, skipped):
-                        if channel.topic in ROW_TOPICS and (why := lost.why_not(message.sequence)):
+                        if channel.topic in topics.ROW_TOPICS and (why := lost.why_not(message.sequence)):
                             left_out += 1
                             skipped.add(why, f"{channel.topic} row {message.sequence}")
                             continue
@@ -148,9 +147,9 @@ def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
     for _, rows in chunks:
         for topic, numbers in rows.items():
             by_topic.setdefault(topic, set()).update(numbers)
-    driven, all_rows = by_topic.get(VEHICLE, set()), set().union(*by_topic.values())
+    driven, all_rows = by_topic.get(topics.VEHICLE, set()), set().union(*by_topic.values())
     if not driven:
-        if not log.problem and log.counts.get(VEHICLE):  # all vehicle states are lost
+        if not log.problem and log.counts.get(topics.VEHICLE):  # all vehicle states are lost
             for first, last in consecutive(sorted(all_rows)):
                 skipped.add(_MISSING, rows_named(first, last))
         return LostRows()
@@ -160,7 +159,7 @@ def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
     for before, after in pairwise([min(all_rows) - 1, *sorted(driven), last_row + 1]):
         if after > before + 1:
             skipped.add(_MISSING, rows_named(before + 1, after - 1))
-    for topic in sorted(PICTURE_TOPICS & by_topic.keys()):
+    for topic in sorted(topics.PICTURE_TOPICS & by_topic.keys()):
         for first, last in consecutive(sorted(driven - by_topic[topic])):
             skipped.add("stretches of rows without a picture", f"{topic} {rows_named(first, last)}")
     return LostRows(last_row, frozenset(all_rows - driven))
@@ -170,7 +169,7 @@ def _rows_in(log: Log, chunk: Chunk) -> _Rows:
     rows: _Rows = {}
     try:
         for _, channel, message in log.messages_of(chunk, Skipped()):
-            if channel.topic in ROW_TOPICS:
+            if channel.topic in topics.ROW_TOPICS:
                 rows.setdefault(channel.topic, []).append(message.sequence)
     except LogError:
         return {}
@@ -179,7 +178,7 @@ def _rows_in(log: Log, chunk: Chunk) -> _Rows:
 
 def _late(chunks: Sequence[tuple[Chunk, _Rows]]) -> Iterator[tuple[str, str]]:
     """The chunks whose rows should come earlier in the file, or came before."""
-    highest = dict.fromkeys((VEHICLE, *CAMERA_TOPICS), -1)
+    highest = dict.fromkeys((topics.VEHICLE, *topics.CAMERA_TOPICS), -1)
     for chunk, rows in chunks:
         for topic in highest.keys() & rows.keys():
             if min(rows[topic]) <= highest[topic]:
