@@ -80,7 +80,7 @@ class Log(Closeable):
             if not salvages:
                 self._file.check_count(self.message_count)
             else:
-                self._as_found = replace(self._structure, chunks=list(self.chunks))
+                self._as_found = replace(self._structure, chunks=list(self._structure.chunks))
                 salvage(self._file, self._structure)
             self.size = self._file.size
             """Bytes of the file at its opening."""
@@ -92,17 +92,14 @@ class Log(Closeable):
         self.lost = self._structure.lost
         """Stretches of bytes (from, to) without anything whole. In a finished log, only `salvages` finds them."""
         self.channels = self._structure.channels
+        self.chunks = self._structure.chunks
+        """The chunks, in the order of the file."""
         self._copied_from: set[int] = set()
         self._copied = 0
         self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
         self._file.close()
-
-    @property
-    def chunks(self) -> list[Chunk]:
-        """The chunks, in the order of the file."""
-        return self._structure.chunks
 
     @cached_property
     def _chunk_reader(self) -> ChunkReader:

@@ -16,8 +16,7 @@ _Share = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
 
-class _Message(msgspec.Struct, tag_field="type"):
-    pass
+class _Message(msgspec.Struct, tag_field="type"): ...
 
 
 class ControlMessage(_Message, tag="control"):
@@ -32,12 +31,10 @@ class ControlMessage(_Message, tag="control"):
     hold_mph: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_HOLD_MPH)] | None = None
 
 
-class RecordMessage(_Message, tag="record"):
-    pass
+class RecordMessage(_Message, tag="record"): ...
 
 
-class PauseMessage(_Message, tag="pause"):
-    pass
+class PauseMessage(_Message, tag="pause"): ...
 
 
 class BadMessage(_Message, tag="bad"):
@@ -46,16 +43,13 @@ class BadMessage(_Message, tag="bad"):
     seconds: Annotated[float, msgspec.Meta(gt=0.0, le=MAX_BAD_S)] = 5.0
 
 
-class HandBackMessage(_Message, tag="hand_back"):
-    pass
+class HandBackMessage(_Message, tag="hand_back"): ...
 
 
-class PutBackMessage(_Message, tag="put_back"):
-    pass
+class PutBackMessage(_Message, tag="put_back"): ...
 
 
-class EndMessage(_Message, tag="end"):
-    pass
+class EndMessage(_Message, tag="end"): ...
 
 
 class ViewMessage(_Message, tag="view"):

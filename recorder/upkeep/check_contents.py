@@ -66,13 +66,12 @@ class Contents:
         self._topics = {number: channel.topic for number, channel in structure.channels.items()}
         self._images = structure.image_channels
 
-        def channels(topic_name: str, schema: str) -> set[int]:
-            numbers = {number for number, topic in self._topics.items() if topic == topic_name}
+        def channels(topic: str) -> set[int]:
+            schema = topics.TOPICS[topic].message.name
+            numbers = {number for number, name in self._topics.items() if name == topic}
             return {number for number in numbers if structure.is_protobuf(number, schema)}
 
-        self._vehicle = channels(topics.VEHICLE, topics.VEHICLE_STATE.name)
-        self._events = channels(topics.EVENTS, topics.LOG_MESSAGE.name)
-        self._poses = channels(topics.POSE, topics.POSE_IN_FRAME.name)
+        self._vehicle, self._events, self._poses = map(channels, (topics.VEHICLE, topics.EVENTS, topics.POSE))
         in_order = {name for name, topic in topics.TOPICS.items() if topic.is_in_order}
         self._in_order = {number for number, topic in self._topics.items() if topic in in_order}
         self._bad_telemetry: Counter[str] = Counter()
