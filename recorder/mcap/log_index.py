@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.mcap.mcap_file import Chunk, McapFile
-from recorder.mcap.message_index import Read, index_messages
+from recorder.mcap.message_index import Track, index_messages
 from recorder.mcap.picture_places import CHUNKS_ATTACHMENT, is_of_pictures, read_places
 from recorder.mcap.scan import Structure
 
@@ -18,14 +18,9 @@ class LogIndex:
     """An ENTRY for each message of a log. Raises LogError for a damaged log when it is read."""
 
     def __init__(
-        self,
-        file: McapFile,
-        structure: Structure,
-        track: Callable[[Iterable[Read], int], Iterable[Read]],
-        have_read: Callable[[Sequence[Chunk]], object],
+        self, file: McapFile, structure: Structure, track: Track, have_read: Callable[[Sequence[Chunk]], object]
     ) -> None:
-        """`track` shows the progress while so many chunks are read. `have_read` gets the chunks afterwards: their
-        CRCs match."""
+        """`have_read` gets chunks when they were read: their CRCs match."""
         self._file = file
         self._structure = structure
         self._track = track
@@ -73,6 +68,6 @@ class LogIndex:
         return len(self._beside_pictures) == count
 
     def _index_of(self, chunks: Sequence[Chunk]) -> NDArray[np.void]:
-        index = index_messages(self._file, self._structure, chunks, lambda read: self._track(read, len(chunks)))
+        index = index_messages(self._file, self._structure, chunks, self._track)
         self._have_read(chunks)
         return index

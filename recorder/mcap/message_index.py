@@ -30,6 +30,7 @@ ENTRY: Final = np.dtype(
 )
 
 Read = tuple[Chunk, bytes]  # a chunk and its records
+Track = Callable[[Iterable[Read], int], Iterable[Read]]  # shows the progress while so many chunks are read
 
 _AT_ONCE: Final = 1 << 20  # bytes of records
 _HEAD: Final = np.dtype(
@@ -45,17 +46,12 @@ _HEAD: Final = np.dtype(
 
 
 def index_messages(
-    file: McapFile,
-    structure: Structure,
-    chunks: Sequence[Chunk],
-    track: Callable[[Iterable[Read]], Iterable[Read]] = lambda read: read,
+    file: McapFile, structure: Structure, chunks: Sequence[Chunk], track: Track
 ) -> NDArray[np.void]:
-    """One ENTRY for each message in these chunks, in order. `track` shows the progress.
-
-    Raises LogError for a damaged chunk, or a time above LAST_TIME_NS.
-    """
+    """One ENTRY for each message in these chunks, in order. Raises LogError for a damaged chunk, or a time above
+    LAST_TIME_NS."""
     parts, count = [], 0
-    for together in _together(track(file.read_chunks(chunks))):
+    for together in _together(track(file.read_chunks(chunks), len(chunks))):
         parts.append(_in_chunks(file, together, structure.image_channels))
         count += len(parts[-1])
         file.check_count(count)
