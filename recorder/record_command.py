@@ -71,7 +71,7 @@ def record(config: Record) -> int:
 
 def _record_to(config: Record, log: Path) -> Imported:
     car = None if config.car is None else named_car(config.car)
-    source = config.source
+    source, rate_hz, overwrite = config.source, config.rate, config.force
     with contextlib.ExitStack() as stack:
 
         def show(growing: Path) -> None:
@@ -84,40 +84,28 @@ def _record_to(config: Record, log: Path) -> Imported:
         if config.listen:
             from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
 
-            return listen_for_telemetry(log, settings, overwrite=config.force)
+            return listen_for_telemetry(log, settings, overwrite=overwrite)
         if config.environment.gym is not None:
             from recorder.sources.record_gymnasium import record_gymnasium
 
-            return record_gymnasium(replace(_gym_recording(config), car=car), log, overwrite=config.force)
+            return record_gymnasium(replace(_gym_recording(config), car=car), log, overwrite=overwrite)
         if source is not None and config.watch:
             from recorder.sources.udacity_follow import watch_udacity
 
             refuse_to_watch(source)
             return watch_udacity(
-                source,
-                log,
-                rate_hz=config.rate,
-                idle_s=config.idle,
-                car=car,
-                overwrite=config.force,
-                on_started=show,
+                source, log, rate_hz=rate_hz, idle_s=config.idle, car=car, overwrite=overwrite, on_started=show
             )
         if source is not None:
             return import_recording(
-                source,
-                log,
-                config.topics,
-                columns=config.columns,
-                rate_hz=config.rate,
-                car=car,
-                overwrite=config.force,
+                source, log, config.topics, columns=config.columns, rate_hz=rate_hz, car=car, overwrite=overwrite
             )
         if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps --from was forgotten
             print_message(
                 f"bc-record: the built-in simulator's expert drives {config.drive.track};"
                 " --from FOLDER imports a recording"
             )
-        return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
+        return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=overwrite)
 
 
 def _record_at_the_wheel(config: Record, log: Path, settings: ListenSettings) -> Imported:

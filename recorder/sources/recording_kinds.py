@@ -38,14 +38,9 @@ def import_recording(
     if columns:
         if topics.image is not None or topics.steering is not None:
             raise RecordingError("--columns already names everything to import: leave out --image, --steering")
+        scale = topics.steering_scale
         return import_csv(
-            source,
-            log,
-            columns,
-            rate_hz=rate_hz,
-            steering_scale=topics.steering_scale,
-            car=car,
-            overwrite=overwrite,
+            source, log, columns, rate_hz=rate_hz, steering_scale=scale, car=car, overwrite=overwrite
         )
     kind = kind_of(source)
     if not kind and (hint := recordings_near(source)):
