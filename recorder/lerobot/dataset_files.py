@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from recorder.lerobot import dataset_format as form
+from recorder.lerobot.export_plan import ExportPlan
 from recorder.lerobot.log_episodes import Sizes
 from recorder.lerobot.video_files import VideoFiles
 
@@ -24,11 +25,10 @@ _BYTES_A_ROW: Final = 150  # of a row without its pictures, at most
 class DatasetFiles:
     """Writes the files of a dataset. As a context manager, it finishes them."""
 
-    def __init__(self, root: Path, fps: int, *, has_speed: bool, is_video: bool, has_split: bool = False) -> None:
+    def __init__(self, root: Path, plan: ExportPlan, *, is_video: bool, has_split: bool) -> None:
         self.root = root
         self.is_video = is_video
-        self._fps = fps
-        self._has_speed = has_speed
+        self._plan = plan
         self._has_split = has_split
         self.columns: dict[str, form.Feature] = {}  # from the first episode on
         self._data: DataFiles | None = None
@@ -40,11 +40,11 @@ class DatasetFiles:
         """Begin an episode. `frames` and `pictures_bytes` are upper limits."""
         if self._data is None:
             self.columns = form.features(
-                sizes, has_speed=self._has_speed, is_video=self.is_video, has_split=self._has_split
+                sizes, has_speed=self._plan.has_speed, is_video=self.is_video, has_split=self._has_split
             )
             self._data = DataFiles(self.root, form.data_schema(self.columns))
-            cameras = sizes.items() if self.is_video else ()
-            self._videos = [VideoFiles(self.root, form.image_key(camera), self._fps, s) for camera, s in cameras]
+            videos = {form.image_key(camera): size for camera, size in sizes.items()} if self.is_video else {}
+            self._videos = [VideoFiles(self.root, key, self._plan.fps, size) for key, size in videos.items()]
         self._data.begin_episode(frames, 0 if self.is_video else pictures_bytes)
         for video in self._videos:
             video.begin_episode()

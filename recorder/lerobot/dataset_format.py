@@ -81,7 +81,7 @@ def image_key(camera: Camera) -> str:
 
 
 def features(
-    sizes: Mapping[Camera, tuple[int, int]], *, has_speed: bool, is_video: bool, has_split: bool = False
+    sizes: Mapping[Camera, tuple[int, int]], *, has_speed: bool, is_video: bool, has_split: bool
 ) -> dict[str, Feature]:
     """The columns of our datasets. `sizes`: width and height of each camera's pictures."""
     images = {

@@ -80,9 +80,8 @@ def export_lerobot(
         require_av()
     with new_folder(folder) as part, _refused(folder):
         plan = plan_export(paths, chosen, cameras)
-        about = {"has_speed": plan.has_speed, "is_video": is_video, "has_split": chosen is not None}
         with (
-            DatasetFiles(part, plan.fps, **about) as files,
+            DatasetFiles(part, plan, is_video=is_video, has_split=chosen is not None) as files,
             progress_bar() as bar,
             progress_task(bar, f"exporting to {folder.name}", plan.rows) as advance,
         ):
