@@ -23,10 +23,10 @@ from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
 from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
 from recorder.lerobot.export_plan import ExportPlan, plan_export
 from recorder.lerobot.feature_statistics import (
-    DatasetStatistics,
     PictureStatistics,
     Statistics,
     as_json,
+    combined,
     number_statistics,
     sampled,
 )
@@ -114,7 +114,7 @@ class _Export:
         self.episodes = self.frames = 0
         self.sessions: list[CardSession] = []
         self._sizes = Sizes()
-        self._statistics = DatasetStatistics()
+        self._statistics: list[dict[str, Statistics]] = []  # of each episode
         self._example = b""
 
     def add(self, log: Log, chosen: ChosenRows | None = None) -> None:
@@ -179,7 +179,7 @@ class _Export:
         if taken.split is not None:
             about[form.SPLIT] = str(taken.split[kept[0]])
         self._files.end_episode(about)
-        self._statistics.add(statistics)
+        self._statistics.append(statistics)
         self.episodes += 1
         self.frames += len(kept)
 
@@ -246,7 +246,7 @@ class _Export:
             for camera, size in self._sizes.items():
                 info["features"][form.image_key(camera)]["info"] = video_info(plan.fps, size)
         write_json(root / form.INFO_PATH, info)
-        write_json(root / form.STATS_PATH, as_json(self._statistics.statistics()))
+        write_json(root / form.STATS_PATH, as_json(combined(self._statistics)))
         write_tasks(root, self._task)
         picture = "picture.png" if self._example.startswith(PNG_START) else "picture.jpg"
         (root / picture).write_bytes(self._example)

@@ -7,7 +7,7 @@ LeRobot estimates an episode's quantiles from histograms; here they are exact.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import cv2
@@ -80,40 +80,24 @@ class PictureStatistics:
         return shaped | {"count": np.array([self.count], np.float64)}
 
 
-class DatasetStatistics:
-    """Combines the statistics of all episodes of a dataset."""
+def combined(episodes: Sequence[Mapping[str, Statistics]]) -> dict[str, Statistics]:
+    """The statistics of all episodes of a dataset together; there is at least one episode."""
+    return {feature: _combined([episode[feature] for episode in episodes]) for feature in episodes[0]}
 
-    def __init__(self) -> None:
-        self._sums: dict[str, Statistics] = {}
 
-    def add(self, episode: Mapping[str, Statistics]) -> None:
-        for feature, measured in episode.items():
-            count = measured["count"][0]
-            weighted = {name: measured[name] * count for name in ("mean", *QUANTILES)}
-            weighted["square"] = (measured["std"] ** 2 + measured["mean"] ** 2) * count
-            sums = self._sums.setdefault(
-                feature, {name: np.zeros_like(values) for name, values in weighted.items()}
-            )
-            for name, values in weighted.items():
-                sums[name] = sums[name] + values
-            sums["count"] = sums.get("count", np.zeros(1)) + measured["count"]
-            sums["min"] = np.minimum(sums.get("min", measured["min"]), measured["min"])
-            sums["max"] = np.maximum(sums.get("max", measured["max"]), measured["max"])
-
-    def statistics(self) -> dict[str, Statistics]:
-        combined = {}
-        for feature, sums in self._sums.items():
-            count = sums["count"][0]
-            mean = sums["mean"] / count
-            combined[feature] = {
-                "min": sums["min"],
-                "max": sums["max"],
-                "mean": mean,
-                "std": np.sqrt(np.maximum(sums["square"] / count - mean**2, 0.0)),
-                "count": sums["count"],
-                **{name: sums[name] / count for name in QUANTILES},
-            }
-        return combined
+def _combined(episodes: Sequence[Statistics]) -> Statistics:
+    values = {name: np.stack([measured[name] for measured in episodes]) for name in episodes[0]}
+    weights = values["count"][:, 0]
+    mean = np.average(values["mean"], axis=0, weights=weights)
+    square = np.average(values["std"] ** 2 + values["mean"] ** 2, axis=0, weights=weights)
+    return {
+        "min": values["min"].min(axis=0),
+        "max": values["max"].max(axis=0),
+        "mean": mean,
+        "std": np.sqrt(np.maximum(square - mean**2, 0.0)),
+        "count": values["count"].sum(axis=0),
+        **{name: np.average(values[name], axis=0, weights=weights) for name in QUANTILES},
+    }
 
 
 def as_json(statistics: Mapping[str, Statistics]) -> dict[str, dict[str, list[object]]]:
