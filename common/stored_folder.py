@@ -10,8 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -43,13 +42,13 @@ from common.store_record import (
     record_of,
     write_record,
 )
+from common.tasks import in_threads
 from common.users_cache import cached_copy
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 _LOCK: Final = ".store.lock"
-_AT_ONCE: Final = 8  # files
 _MAX_WRITERS: Final = 20  # machines that append lines to one file at the same time
 
 
@@ -115,14 +114,10 @@ class StoredFolder(Closeable):
             record_version = self._record.record_version
         downloads = [name for name in differ if wanted is None or name in wanted]
         size = sum(stored[name].size for name in downloads)
-        bar = _bar(progress, f"downloading {self.url.name}, bytes", size)
-        with bar as on_bytes, ThreadPoolExecutor(_AT_ONCE) as pool:
-            running = [
-                (name, pool.submit(self._download_file, name, stored[name], recorded.get(name), on_bytes))
-                for name in downloads
-            ]
-            for name, download in running:
-                self._copies[name] = download.result()
+        with _bar(progress, f"downloading {self.url.name}, bytes", size) as on_bytes:
+            calls = [(name, stored[name], recorded.get(name), on_bytes) for name in downloads]
+            for number, copy in in_threads(self._download_file, calls):
+                self._copies[downloads[number]] = copy
         left = {
             name: _record_entry(stored[name], recorded.get(name)) for name in set(differ).difference(downloads)
         }
@@ -154,8 +149,8 @@ class StoredFolder(Closeable):
         removed = sorted(self._copies.keys() - files.keys()) if only is None else []
         try:
             for group in groups:
-                _do_at_once(self._upload_file, group)
-            _do_at_once(self._remove, removed)
+                list(in_threads(self._upload_file, [(name,) for name in group]))
+            list(in_threads(self._remove, [(name,) for name in removed]))
         finally:
             left = {name: copy for name, copy in self._record.left.items() if name not in changed}
             self._write_record(left, self._record.record_version)
@@ -257,17 +252,6 @@ class StoredFolder(Closeable):
     def _write_record(self, left: dict[str, Copy], record_version: str) -> None:
         self._record = StoreRecord(str(self.url), dict(self._copies), left, record_version)
         write_record(self.local, self._record)
-
-
-def _do_at_once(do: Callable[[str], None], names: Sequence[str]) -> None:
-    """Call `do` with every name, several at a time. If a call fails, raises its error and skips the calls that
-    have not begun."""
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        try:
-            list(pool.map(do, names))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
 
 
 def _is_or_contains(file_or_folder: str, name: str) -> bool:
