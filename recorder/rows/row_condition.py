@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import operator
 import re
 from collections.abc import Callable, Mapping
@@ -55,11 +56,7 @@ def _mask(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> Mask:
     match node:
         case ast.BoolOp(op=op, values=values):
             join = np.logical_and if isinstance(op, ast.And) else np.logical_or
-            masks = [_mask(value, columns) for value in values]
-            joined: Mask = masks[0]
-            for mask in masks[1:]:
-                joined = join(joined, mask)
-            return joined
+            return functools.reduce(join, (_mask(value, columns) for value in values))
         case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
             first, second = _value(left, columns), _value(right, columns)
             holds: Mask = np.asarray(_COMPARE[type(op)](first, second) & ~np.isnan(first) & ~np.isnan(second))
