@@ -75,7 +75,7 @@ def listen_for_telemetry(
         if not session.rows:
             writing.pop_all()  # otherwise the live log would be kept for its events
             writer.discard()
-            raise RecordingError(f"{log}: nothing was recorded{session.why_nothing()}")
+            raise RecordingError(f"{log}: {session.why_nothing()}")
         if person is not None:
             writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{person.hold_mph:g}"})
             close_with_tags(writer, person.recording.tags)
@@ -196,17 +196,18 @@ class _Session:
         return self._telemetries > 0 and time.monotonic() - self._last_s >= idle_s
 
     def why_nothing(self) -> str:
-        """The end of the error if no row was recorded."""
         if self._person is not None and self._telemetries:
-            return ": begin to record on the page, and drive"
+            return "nothing was recorded: begin to record on the page, and drive"
         if self.skipped:
-            return self.skipped.error_suffix()
+            return f"nothing was recorded{self.skipped.error_suffix()}"
         if self._manuals:
-            follow = "drive in its training mode and follow that by `bc-record NAME --from FOLDER --watch`"
-            return f": the simulator sends nothing while its keys are held; {follow}"
+            return (
+                "nothing was recorded: the simulator sends nothing while its keys are held; drive in its training"
+                " mode and follow that by `bc-record NAME --from FOLDER --watch`"
+            )
         if self._connections:
-            return ": a client connected, but sent no telemetry; start its autonomous mode"
-        return ": no simulator connected; start its autonomous mode while this waits for it"
+            return "nothing was recorded: a client connected, but sent no telemetry; start its autonomous mode"
+        return "nothing was recorded: no simulator connected; start its autonomous mode while this waits for it"
 
     def _handle_requests(self, person: PersonOfTelemetry) -> None:
         for text in person.handle_requests():
