@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from numbers import Real
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import cv2
 import gymnasium
@@ -146,31 +146,20 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {"lap": self.course.laps, "offset": self.course.offset, "success": success, "is_success": success}
 
 
-class RandomRoadEnv(DrivingEnv):
-    """The random road `random:SEED`. The same seed gives the same road."""
+class DrawnRoadEnv(DrivingEnv):
+    """A random road, `random:SEED` or, with hairpins like the mountain's, `hairpins:SEED`."""
 
-    def __init__(self, seed: int = 0, **settings: Any) -> None:
-        super().__init__(_road("random", seed), **settings)
-
-
-class HairpinRoadEnv(DrivingEnv):
-    """The random road `hairpins:SEED`, with hairpins like the mountain's. The same seed gives the same road."""
-
-    def __init__(self, seed: int = 0, **settings: Any) -> None:
-        super().__init__(_road("hairpins", seed), **settings)
+    def __init__(self, kind: Literal["random", "hairpins"], seed: int = 0, **settings: Any) -> None:
+        track = f"{kind}:{seed}"
+        if not is_drawn(track):
+            raise ValueError(f"seed={seed!r}: expected a whole number of at most 18 digits, from 0 on")
+        super().__init__(track, **settings)
 
 
 def _number(name: str, value: object) -> float:
     if not isinstance(value, Real):
         raise ValueError(f"{name}={value!r}: expected a number, not {type(value).__name__}")
     return float(value)
-
-
-def _road(kind: str, seed: int) -> str:
-    name = f"{kind}:{seed}"
-    if not is_drawn(name):
-        raise ValueError(f"seed={seed!r}: expected a whole number of at most 18 digits, from 0 on")
-    return name
 
 
 def expert(env: gymnasium.Env[Any, Any], observation: object) -> NDArray[np.float32]:

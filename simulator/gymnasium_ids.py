@@ -15,8 +15,8 @@ MAX_STEPS: Final = 3000
 _ENTRY_POINTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     "bc/Lake-v0": ("simulator.environment:DrivingEnv", {"track": "lake"}),
     "bc/Mountain-v0": ("simulator.environment:DrivingEnv", {"track": "mountain"}),
-    "bc/Random-v0": ("simulator.environment:RandomRoadEnv", {}),
-    "bc/Hairpins-v0": ("simulator.environment:HairpinRoadEnv", {}),
+    "bc/Random-v0": ("simulator.environment:DrawnRoadEnv", {"kind": "random"}),
+    "bc/Hairpins-v0": ("simulator.environment:DrawnRoadEnv", {"kind": "hairpins"}),
 }
 
 

@@ -66,12 +66,8 @@ class Person(ABC):
         self._random = np.random.default_rng([seed, 1])  # independent of the expert's, whose seed is `seed`
         self._time_s = -math.inf
         self._next_look_s = -math.inf
-        self._act: Act | None = None  # the current or the last act
-
-    @property
-    def act(self) -> Act | None:
+        self.act: Act | None = None
         """The current or the last act of the hands; None before the first act."""
-        return self._act
 
     def wish(self, course: Course) -> tuple[float, float]:
         """The wanted command for the course's current state, without the limits of the hands."""
@@ -82,12 +78,12 @@ class Person(ABC):
         wanted, throttle = self._wish.control(course)
         now_s = course.time_s
         if not 0.0 <= now_s - self._time_s <= _NEW_DRIVE_S:
-            self._act = None  # the hands start at rest
+            self.act = None  # the hands start at rest
             self._next_look_s = now_s
         self._time_s = now_s
         if now_s >= self._next_look_s:
             self._look(now_s, wanted)
-        steering = self._act.steering(now_s) if self._act else 0.0
+        steering = self.act.steering(now_s) if self.act else 0.0
         return steering + 0.0, throttle  # + 0.0 converts the -0.0 of a released left key
 
     @abstractmethod
@@ -96,14 +92,14 @@ class Person(ABC):
 
     def _look(self, now_s: float, wanted: float) -> None:
         """Look at the road if the hands are free or hold something; otherwise the next step tries again."""
-        if self._act is None or self._act.is_over(now_s):
+        if self.act is None or self.act.is_over(now_s):
             self._look_again(now_s)
             if abs(wanted) > self._about(self.dead_band, _DEAD_BAND_SPREAD):
-                self._act = self._begin(now_s + self._reaction_s(), wanted)
-        elif self._act.is_held(now_s):
+                self.act = self._begin(now_s + self._reaction_s(), wanted)
+        elif self.act.is_held(now_s):
             self._look_again(now_s)
-            up_s = self._let_go_s(self._act.up_s, now_s, wanted * self._act.side)
-            self._act = replace(self._act, up_s=up_s)
+            up_s = self._let_go_s(self.act.up_s, now_s, wanted * self.act.side)
+            self.act = replace(self.act, up_s=up_s)
 
     def _look_again(self, after_s: float) -> None:
         self._next_look_s = after_s + min(_MAX_INATTENTION_S, self._random.exponential(_ATTENTION_S))

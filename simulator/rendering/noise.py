@@ -19,19 +19,19 @@ def smooth_noise(random: np.random.Generator, shape: tuple[int, int], feature_px
     return np.asarray(cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 
 
-def tileable_noise(random: np.random.Generator, size_px: int, feature_px: int) -> Field:
-    """Noise (size_px, size_px) float32 in about -1..1, which can be tiled without seams."""
-    cells = size_px // feature_px
+def _tileable_noise(random: np.random.Generator, feature_px: int) -> Field:
+    """Noise (512, 512) float32 in about -1..1, which can be tiled without seams."""
+    cells = 512 // feature_px
     wrapped = np.pad(random.uniform(-1.0, 1.0, (cells, cells)).astype(np.float32), 2, mode="wrap")
     large = cv2.resize(wrapped, None, fx=feature_px, fy=feature_px, interpolation=cv2.INTER_CUBIC)
-    border = 2 * feature_px
-    return np.asarray(large[border : border + size_px, border : border + size_px], dtype=np.float32)
+    inside = slice(2 * feature_px, 2 * feature_px + 512)
+    return np.asarray(large[inside, inside], dtype=np.float32)
 
 
 def grain_tile(random: np.random.Generator) -> NDArray[np.uint8]:
     """The grain of asphalt, earth and grass: (512, 512) uint8, mean 128."""
     grain = 34.0 * random.normal(size=(512, 512)).astype(np.float32)
-    grain += 26.0 * tileable_noise(random, 512, 4) + 26.0 * tileable_noise(random, 512, 16)
+    grain += 26.0 * _tileable_noise(random, 4) + 26.0 * _tileable_noise(random, 16)
     return _levels(grain)
 
 

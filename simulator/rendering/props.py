@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.rendering.terrain import CELL_M, Terrain
-from simulator.roads.road_stretches import Floats
+from simulator.roads.centreline import Floats
 from simulator.roads.track import Track
 
 Sprite = NDArray[np.uint8]  # (rows, columns, 4) BGRA; the lowest row touches the ground

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from simulator.rendering.noise import Field
 from simulator.rendering.props import SIZE_PX, Sprite, draw_sprites
-from simulator.roads.road_stretches import Floats
+from simulator.roads.centreline import Floats
 
 NEAR_M, FAR_M = 1.5, 150.0
 FADE_M = 30.0  # props fade in over this distance before FAR_M

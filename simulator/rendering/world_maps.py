@@ -19,7 +19,7 @@ from simulator.rendering.props import cast_shadows, place_props
 from simulator.rendering.road_texture import paint_road
 from simulator.rendering.sky import paint_sky
 from simulator.rendering.terrain import CELL_M, shape_terrain
-from simulator.roads.road_stretches import Floats
+from simulator.roads.centreline import Floats
 from simulator.roads.track import Track
 
 FORMAT = 3  # of the cache files; increase it when the shape or the colours of a world change
@@ -60,7 +60,8 @@ def build_world(track: Track, cache: bool = True) -> WorldMaps:
     """
     if not cache:
         return _build(track)
-    path = _cache_file(track)
+    name = track.name.replace(":", "-")
+    path = users_cache() / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
     world = _load(path)
     if world is None:
         world = _build(track)
@@ -86,11 +87,6 @@ def _build(track: Track) -> WorldMaps:
         sky=paint_sky(random, jungle=float(np.mean([track.looks[k].jungle for k in track.look_index]))),
         props=props,
     )
-
-
-def _cache_file(track: Track) -> Path:
-    name = track.name.replace(":", "-")
-    return users_cache() / f"world-{name}-{FORMAT}-{track.fingerprint()[:16]}.npz"
 
 
 def _load(path: Path) -> WorldMaps | None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.roads.centreline import Centreline
+from simulator.roads.centreline import Centreline, Floats
 from simulator.roads.random_road import draw_looks
-from simulator.roads.road_stretches import Floats, Look, Stretch, trace
+from simulator.roads.road_stretches import Look, Stretch, trace
 
 CORNERS = (4, 6)
 CORNER_RADII_M = (22.0, 45.0)

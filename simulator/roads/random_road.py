@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.roads.built_in_tracks import LAKE, MOUNTAIN
-from simulator.roads.centreline import Centreline
-from simulator.roads.road_stretches import Floats, Look
+from simulator.roads.centreline import Centreline, Floats
+from simulator.roads.road_stretches import Look
 
 LENGTHS_M = (650.0, 1150.0)
 STRETCHES_M = (35.0, 80.0)
@@ -24,10 +24,12 @@ def random_road(seed: int) -> tuple[Floats, tuple[Look, ...], NDArray[np.intp]]:
     or comes too near to itself is drawn again, with the same random generator.
     """
     random = np.random.default_rng(seed)
-    points = _draw(random)
-    while not _drivable(points):
+    while True:
         points = _draw(random)
-    return points, *_dress(random, points)
+        line = Centreline(points)
+        is_gentle = np.abs(line.curvature_per_m).max() <= 1 / MIN_RADIUS_M
+        if is_gentle and line.clearance_m(NEIGHBOURS_M) > CLEARANCE_M:
+            return points, *_dress(random, points)
 
 
 def _draw(random: np.random.Generator) -> Floats:
@@ -45,13 +47,6 @@ def _draw(random: np.random.Generator) -> Floats:
     plan *= random.uniform(*LENGTHS_M) / steps.sum()
     slope = (np.roll(height, -1) - height) / np.hypot(*(np.roll(plan, -1, axis=0) - plan).T)
     return np.column_stack([plan, height * random.uniform(0.1, 1.0) * STEEPEST / np.abs(slope).max()])
-
-
-def _drivable(points_m: Floats) -> bool:
-    line = Centreline(points_m)
-    if np.abs(line.curvature_per_m).max() > 1 / MIN_RADIUS_M:
-        return False
-    return line.clearance_m(NEIGHBOURS_M) > CLEARANCE_M
 
 
 def _dress(random: np.random.Generator, points_m: Floats) -> tuple[tuple[Look, ...], NDArray[np.intp]]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from simulator.roads.centreline import Floats
 
 STEP_M = 0.25
 TURN_SMOOTHING_M = 3.0  # smooths the beginnings of bends, like the clothoids of real roads
