@@ -17,7 +17,7 @@ from common.interrupts import stop_signals
 from common.output import print_result
 from common.preview import has_display
 from viz.console import print_error, print_notice, print_skipped
-from viz.live.follow import VIEWER_MEMORY, follow_log, save_growing
+from viz.live.follow import VIEWER_MEMORY, LogFeed, save_growing
 from viz.playback.rerun_recording import PreparedRecording, save_prepared
 from viz.viewer_connection import check_viewer, set_time, viewer_url
 from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
@@ -86,7 +86,7 @@ class GrowingLogContent:
 
     def show(self, destination: Destination) -> int:
         with open_destination(destination, memory=VIEWER_MEMORY, server_memory=VIEWER_MEMORY) as (url, viewer):
-            return follow_log(self._path, url, viewer)
+            return feed_viewer(LogFeed(self._path, url), viewer)
 
 
 @contextlib.contextmanager

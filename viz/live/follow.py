@@ -20,8 +20,7 @@ from viz.console import print_error, print_notice, print_skipped
 from viz.live.live_log import GrowingLog
 from viz.live.live_messages import LiveMessageSender
 from viz.rrd_file import rrd_file
-from viz.viewer_feed import POLL_S, ViewerFeed, ViewerGoneError, feed_viewer
-from viz.viewer_process import Viewer
+from viz.viewer_feed import POLL_S, ViewerFeed, ViewerGoneError
 
 BEHIND_S: Final = 2.0
 """If sending was delayed by more than this time, pictures older than this time are skipped."""
@@ -59,17 +58,9 @@ def save_growing(
     return FollowResult(log.notice, log.skipped)
 
 
-def follow_log(path: Path, url: str, viewer: Viewer | None) -> int:
-    """Show the growing log at `path` in the viewer at `url`. Returns the exit code.
-
-    A `viewer` that was opened for this log shows it until it is closed. None: the viewer was already running, and
-    the function ends when the log is finished. Problems of the log are printed on stderr when they happen. Raises
-    UserError if the viewer does not start, or dies.
-    """
-    return feed_viewer(LogFeed(path, url), viewer)
-
-
 class LogFeed(ViewerFeed):
+    """Shows a growing log until it is finished. Problems of the log are printed on stderr when they happen."""
+
     def __init__(self, path: Path, url: str) -> None:
         _refuse_windows()
         super().__init__(url)
