@@ -128,17 +128,12 @@ def comparison_layout(
 
 
 def attention_entity(run: str) -> str:
-    return f"/attention/{entity_part(run)}"
+    return f"/attention/{rr.escape_entity_path_part(run)}"
 
 
 def log_entity(name: str) -> str:
     """The parent entity of one of several logs."""
-    return f"/{entity_part(name)}"
-
-
-def entity_part(name: str) -> str:
-    """Escape a name for use as a part of an entity's path."""
-    return rr.escape_entity_path_part(name)
+    return f"/{rr.escape_entity_path_part(name)}"
 
 
 def _pictures(topics: Collection[str], attention_views: Sequence[rrb.View]) -> Part | None:

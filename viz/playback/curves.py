@@ -30,7 +30,6 @@ from viz.playback.blueprint import (
     HISTOGRAM,
     PATH,
     Curve,
-    entity_part,
 )
 from viz.timelines import Clock, Times
 
@@ -247,7 +246,7 @@ def prediction_curves(predictions: LogPredictions, first: int = 0) -> Iterator[t
     times (N,) in ns, values (N,). `first` is the number of the first run, which determines its colour."""
     is_recorded = np.isfinite(predictions.recorded)
     for number, (run, steering) in enumerate(predictions.predicted.items(), first):
-        color, part = _RUN_COLORS[number % len(_RUN_COLORS)], entity_part(run)
+        color, part = _RUN_COLORS[number % len(_RUN_COLORS)], rr.escape_entity_path_part(run)
         yield Curve(f"{STEERING.path}/predicted_by/{part}", run, color), predictions.log_time_ns, steering
         if is_recorded.any():
             yield (

@@ -16,11 +16,10 @@ from dataset.preprocessing import Image
 from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict_log import predict_log, run_names
 from recorder.topics import STEERING
-from viz.playback.blueprint import attention_entity, entity_part
+from viz.playback.blueprint import attention_entity
 from viz.playback.curves import Drawing, prediction_curves
 from viz.playback.log_chunks import picture_columns
 from viz.playback.rerun_recording import PredictionLayer, PreparedRecording, prepare_log
-from viz.timelines import Clock, Times
 
 QUALITY: Final = 90  # of the JPEGs, some 7 KB each
 
@@ -47,7 +46,10 @@ def prepare_predictions(
 
     def send(recording: rr.RecordingStream, drawing: Drawing, flush: Callable[[], object]) -> None:
         def on_attention(run: str, time_ns: NDArray[np.int64], crops: Image, maps: NDArray[np.float32]) -> None:
-            send_overlays(recording, attention_entity(run), drawing.clock, time_ns, crops, maps)
+            settings = (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
+            jpegs = [cv2.imencode(".jpg", picture, settings)[1].tobytes() for picture in overlay(crops, maps)]
+            columns = picture_columns(jpegs, ["jpeg"] * len(jpegs))
+            recording.send_columns(attention_entity(run), drawing.clock(time_ns), columns)
 
         predictions = predict_log(path, runs, on_attention if attention else None, flush)
         _draw(predictions, recording, drawing)
@@ -66,9 +68,8 @@ def _draw(predictions: LogPredictions, recording: rr.RecordingStream, drawing: D
         if moments := predictions.worst_moments(run):
             times, texts = zip(*moments, strict=True)
             columns = rr.TextLog.columns(text=texts, level=["WARN"] * len(texts))
-            recording.send_columns(
-                f"/events/worst/{entity_part(run)}", drawing.clock(np.array(times, np.int64)), columns
-            )
+            entity = f"/events/worst/{rr.escape_entity_path_part(run)}"
+            recording.send_columns(entity, drawing.clock(np.array(times, np.int64)), columns)
 
 
 def overlay(crops: Image, maps: NDArray[np.float32]) -> Image:
@@ -77,17 +78,3 @@ def overlay(crops: Image, maps: NDArray[np.float32]) -> Image:
     share = _MAX_COVER * maps[..., None]
     blended = crops * (_DIMMED * (1 - share)) + _COLOR * share
     return blended.astype(np.uint8)
-
-
-def send_overlays(
-    recording: rr.RecordingStream,
-    entity: str,
-    clock: Clock,
-    time_ns: Times,
-    crops: Image,
-    maps: NDArray[np.float32],
-) -> None:
-    """Send attention maps over their crops, as JPEGs at their log times."""
-    settings = (cv2.IMWRITE_JPEG_QUALITY, QUALITY)
-    jpegs = [cv2.imencode(".jpg", picture, settings)[1].tobytes() for picture in overlay(crops, maps)]
-    recording.send_columns(entity, clock(time_ns), picture_columns(jpegs, ["jpeg"] * len(jpegs)))
