@@ -67,7 +67,14 @@ class DrawnMessages:
     @cached_property
     def picture_size(self) -> tuple[int, int] | None:
         """Width and height of the centre camera's first readable picture."""
-        return _picture_size(self._log)
+        log = self._log
+        if CENTER not in topics_with_messages(log) or not _is_ours(log, CENTER):
+            return None
+        pictures = log.pictures(CENTER)
+        for place in zip(pictures.offset, pictures.length, pictures.chunk, strict=True):
+            with contextlib.suppress(LogError):  # a damaged chunk is reported when pictures are sent
+                return frame_size(log.read(*map(int, place)))
+        return None
 
     @cached_property
     def poses(self) -> tuple[Times, Numbers]:
@@ -149,16 +156,12 @@ def prepare_log(
             if predictions is not None:
                 predictions.send(recording, drawing, flush)
 
+        runs = predictions.runs if predictions is not None else ()
+        attention = runs if predictions is not None and predictions.attention else ()
+        layout = log_layout(topics_with_messages(log), runs, attention, at_s=at_s)
         recording_id = f"{path.name}-{log.fingerprint[:12]}"
-        yield PreparedRecording(
-            path.name,
-            _layout(log, predictions, at_s),
-            send,
-            [notice] if notice else [],
-            recording_id,
-            at_s,
-            skipped,
-        )
+        notices = [notice] if notice else []
+        yield PreparedRecording(path.name, layout, send, notices, recording_id, at_s, skipped)
 
 
 @contextlib.contextmanager
@@ -233,12 +236,6 @@ def check_moment(at_s: float | None, logs: Iterable[tuple[Path, Log]]) -> None:
         raise UserError(f"--at {at_s:g}: {longest} is {lengths[longest]:.1f} s long; give fewer seconds")
 
 
-def _layout(log: Log, predictions: PredictionLayer | None, at_s: float | None) -> rrb.Blueprint:
-    runs = predictions.runs if predictions is not None else ()
-    attention = runs if predictions is not None and predictions.attention else ()
-    return log_layout(topics_with_messages(log), runs, attention, at_s=at_s)
-
-
 def predicted_curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
     """The curves of the predictions in a log. Raises LogError if the log is damaged."""
     for number, predictions in enumerate(read_predictions(log)):
@@ -272,13 +269,3 @@ def _readable_poses(log: Log) -> Iterator[tuple[Message, PoseInFrame]]:
     for message, content in log.contents(POSE):
         with contextlib.suppress(DecodeError):
             yield message, PoseInFrame.FromString(content)
-
-
-def _picture_size(log: Log) -> tuple[int, int] | None:
-    if CENTER not in topics_with_messages(log) or not _is_ours(log, CENTER):
-        return None
-    pictures = log.pictures(CENTER)
-    for place in zip(pictures.offset, pictures.length, pictures.chunk, strict=True):
-        with contextlib.suppress(LogError):  # a damaged chunk is reported when pictures are sent
-            return frame_size(log.read(*map(int, place)))
-    return None
