@@ -41,7 +41,8 @@ def on_clock(chunks: Iterable[Chunk], clock: Clock, left_out: str = "") -> Gener
             yield chunk  # data of the whole file
             continue
         batch = chunk.to_record_batch()
-        fields = [field for field in batch.schema if _is_data(field) and field.name != left_out]
+        data = [field for field in batch.schema if (field.metadata or {}).get(b"rerun:kind") == b"data"]
+        fields = [field for field in data if field.name != left_out]
         if not fields:
             continue
         times = clock(batch.column(LOG_TIME).cast(pa.int64()).to_numpy(zero_copy_only=False))
@@ -54,7 +55,3 @@ def on_clock(chunks: Iterable[Chunk], clock: Clock, left_out: str = "") -> Gener
             ),
         )
         yield from Chunk.from_record_batch(moved, index=names, entity_path=chunk.entity_path)
-
-
-def _is_data(field: pa.Field) -> bool:
-    return (field.metadata or {}).get(b"rerun:kind") == b"data"

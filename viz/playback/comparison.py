@@ -172,7 +172,7 @@ def distances_along(path: Path2D, other: Path2D) -> NDArray[np.float64] | None:
 
     Beyond the end of `path`, distances are along `other`, which may leave the road.
     """
-    lengths = _lengths(path)
+    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])  # m, to each point
     start, off_m = _first(path, lengths, other[0])
     steps_m = np.concatenate([[0.0], np.hypot(*np.diff(other, axis=0).T)])
     placed = np.empty(len(other))
@@ -188,11 +188,6 @@ def distances_along(path: Path2D, other: Path2D) -> NDArray[np.float64] | None:
             offs_m.append(float(distances.min()))
         placed[number] = lengths[at] + beyond_m
     return placed if np.median(offs_m) <= FAR_M else None
-
-
-def _lengths(path: Path2D) -> NDArray[np.float64]:
-    """Distances in m from the beginning of `path` to each point."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
 
 
 def _first(path: Path2D, lengths: NDArray[np.float64], point: Path2D) -> tuple[int, float]:

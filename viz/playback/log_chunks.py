@@ -58,10 +58,9 @@ def read_chunks(
 def protobuf_topics(log: Log) -> dict[str, str]:
     """The name of the schema of each topic with messages in Protobuf."""
     schemas = log.schemas
-    channels = log.channels.values()
     return {
         channel.topic: schemas[channel.topic]
-        for channel in channels
+        for channel in log.channels.values()
         if channel.message_encoding == MessageEncoding.Protobuf
     }
 
@@ -83,14 +82,13 @@ def _chunks(
 def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
     """The chunks that Rerun's reader makes of a finished log's metadata and summary; opening the log has compared
     the summary's CRC. The time range makes Rerun skip all chunks of the log."""
-    reader = McapReader(
+    yield from McapReader(
         path,
         decoders=_OF_SUMMARY,
         exclude_topic_regex=_exactly(drawn),
         start_time_ns=LAST_TIME_NS - 1,
         end_time_ns=LAST_TIME_NS,
-    )
-    yield from reader.stream()
+    ).stream()
 
 
 def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
