@@ -47,7 +47,7 @@ def decoding_threads() -> int:
     return min(usable_cores(), _MOST_THREADS)
 
 
-def different_crops(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def different_crops(rows: Rows) -> tuple[Numbers, Numbers]:
     """One sample for each distinct crop, sorted by picture; and for each sample (N,) the position of its crop.
 
     Every altered sample has its own crop; the other samples of a picture share a crop, mirrored or not.
@@ -85,11 +85,10 @@ class Crops:
     def fill(
         self,
         pictures: Image,
-        samples: NDArray[np.int64],
-        altered: Callable[[Image, NDArray[np.int64]], object] | None = None,
-    ) -> dict[int, UnusablePictureError]:
-        """Write the pictures of `samples` (N,) into `pictures` (N, height, width, 3); `altered` alters them in
-        BGR.
+        samples: Numbers,
+        altered: Callable[[Image, Numbers], object] | None = None,
+    ) -> Failed:
+        """Write the pictures of `samples` (N,) into `pictures` (N, height, width, 3). `altered` alters BGR ones.
 
         Returns the error of each sample whose picture does not decode, or is in a damaged chunk of its log. The
         content of its picture is then arbitrary.
@@ -153,13 +152,28 @@ class Crops:
 
 
 def prefetched(
-    parts: Iterable[Numbers], fill: Fill, spec: PictureSpec, *, threads: int, at_once: int
-) -> Iterator[tuple[Numbers, Image, Failed]]:
-    """Yield each part, its pictures (N, `spec.shape`) from `fill`, and the errors of the numbers without a
-    picture.
+    parts: Iterable[Numbers],
+    fill: Fill,
+    spec: PictureSpec,
+    on_failed: Callable[[Failed], object],
+    *,
+    threads: int,
+    at_once: int,
+) -> Iterator[tuple[Numbers, Image]]:
+    """Yield each part and its pictures (N, `spec.shape`) from `fill`, without the numbers that have no picture:
+    `on_failed` gets their errors.
 
     Threads work on `at_once` parts at the same time. An error of `fill` is raised instead of its part.
     """
+
+    def finished(part: Numbers, pictures: Image, jobs: list[Future[Failed]]) -> tuple[Numbers, Image]:
+        failed = {number: error for job in jobs for number, error in job.result().items()}
+        if not failed:
+            return part, pictures
+        on_failed(failed)
+        is_decoded = ~np.isin(part, list(failed))
+        return part[is_decoded], pictures[is_decoded]
+
     waiting: deque[tuple[Numbers, Image, list[Future[Failed]]]] = deque()
     pool = ThreadPoolExecutor(threads)
     try:
@@ -170,12 +184,8 @@ def prefetched(
             jobs = [pool.submit(fill, pictures[i : i + size], part[i : i + size]) for i in starts]
             waiting.append((part, pictures, jobs))
             if len(waiting) == at_once:
-                yield _finished(*waiting.popleft())
+                yield finished(*waiting.popleft())
         while waiting:
-            yield _finished(*waiting.popleft())
+            yield finished(*waiting.popleft())
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _finished(part: Numbers, pictures: Image, jobs: list[Future[Failed]]) -> tuple[Numbers, Image, Failed]:
-    return part, pictures, {number: error for job in jobs for number, error in job.result().items()}

@@ -13,7 +13,7 @@ If a picture does not decode, or is in a damaged chunk of its log, it is left ou
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -27,8 +27,7 @@ from common.closeable import Closeable
 from common.location import Location
 from dataset.config import EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
-from dataset.errors import UnusablePictureError
-from dataset.loader.crops import Crops, Fill, decoding_threads, prefetched
+from dataset.loader.crops import Crops, Failed, Fill, decoding_threads, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image
@@ -171,16 +170,9 @@ class Loader(Closeable):
         fill: Fill = crops.fill
         if epoch is not None and self.alterations is not None:
             fill = partial(crops.fill, altered=partial(self.alterations.alter, epoch))
-        for part, pictures, failed in prefetched(
-            parts, fill, self.seen, threads=self.threads, at_once=self._at_once
-        ):
-            if failed:
-                self._skip(failed)
-                is_decoded = ~np.isin(part, list(failed))
-                part, pictures = part[is_decoded], pictures[is_decoded]
-            yield part, pictures
+        return prefetched(parts, fill, self.seen, self._skip, threads=self.threads, at_once=self._at_once)
 
-    def _skip(self, failed: Mapping[int, UnusablePictureError]) -> None:
+    def _skip(self, failed: Failed) -> None:
         for sample, error in failed.items():
             number = int(self.rows.picture[sample])
             if number not in self._undecoded:

@@ -19,7 +19,7 @@ from common.location import Location, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
-from dataset.loader.crops import Crops, decoding_threads, prefetched
+from dataset.loader.crops import Crops, Failed, decoding_threads, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
@@ -68,7 +68,11 @@ class LogCrops(Closeable):
             )
         self.row: NDArray[np.int64] = pictures.sequence
         self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns
-        self.recorded = self._recorded(pictures)
+        states, _ = driven_states(self.log)
+        state, picture = paired_rows(pictures, states)
+        recorded = np.full(count, np.nan)
+        recorded[picture] = states.steering[state]
+        self.recorded = np.where(np.abs(recorded) <= 1, recorded, np.nan)
         """The steering (N,), -1..1, as in an index; NaN if the picture has no steering, or an invalid one."""
         self._rows = Rows(
             picture=np.arange(count, dtype=np.int32),
@@ -99,17 +103,11 @@ class LogCrops(Closeable):
         parts = np.split(numbers, numbers[size::size])
         threads = decoding_threads()
         crops = Crops(self._rows, {self.session: self.log}, budget_bytes=0, spec=spec)
-        for part, pictures, failed in prefetched(parts, crops.fill, spec, threads=threads, at_once=_AT_ONCE):
+
+        def skip(failed: Failed) -> None:
             for number, error in failed.items():
                 if number not in self._undecoded:
                     self._undecoded.add(number)
                     self.skipped.add(error.kind, crops.name(number))
-            is_decoded = ~np.isin(part, list(failed))
-            yield part[is_decoded], pictures[is_decoded] if failed else pictures
 
-    def _recorded(self, pictures: Pictures) -> NDArray[np.float64]:
-        states, _ = driven_states(self.log)
-        state, picture = paired_rows(pictures, states)
-        recorded = np.full(len(pictures.sequence), np.nan)
-        recorded[picture] = states.steering[state]
-        return np.where(np.abs(recorded) <= 1, recorded, np.nan)
+        return prefetched(parts, crops.fill, spec, skip, threads=threads, at_once=_AT_ONCE)
