@@ -16,7 +16,6 @@ from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
 from common.ray_flag import tasks_of
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import FRAMES_SCHEMA
 from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
@@ -92,9 +91,8 @@ def _refuse_contradictions(config: Index) -> None:
     if config.config.validation and (flags := flags_given(config.config, *of_blocks)):
         raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")
     if config.config.where is not None:
-        condition = Condition(config.config.where)
         with usage_errors(DatasetError):
-            condition.check(FRAMES_SCHEMA.empty_table())
+            Condition(config.config.where).check()
 
 
 def _one_sided(indexed: Indexed, config: Index) -> list[str]:

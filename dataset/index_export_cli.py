@@ -37,16 +37,14 @@ class ExportIndex:
 
 
 def export(config: ExportIndex) -> int:
-    from dataset.frames.frames_file import FRAMES_SCHEMA
     from dataset.index_export import export_index
     from dataset.samples.filter import Condition
 
     allow_places(config.sessions)
     refuse_no_text(("--task", config.task), ("--license", config.license))
     if config.where is not None:
-        condition = Condition(config.where)
         with usage_errors(DatasetError):
-            condition.check(FRAMES_SCHEMA.empty_table())
+            Condition(config.where).check()
     done = export_index(
         config.index,
         config.lerobot,

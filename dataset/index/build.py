@@ -28,13 +28,7 @@ from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
-from dataset.frames.frames_file import (
-    FRAMES_SCHEMA,
-    FramesError,
-    extent_of,
-    file_if_rewritten,
-    index_project,
-)
+from dataset.frames.frames_file import FramesError, extent_of, file_if_rewritten, index_project
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import (
     FRAMES_FOLDER,
@@ -159,7 +153,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
-        Condition(config.where).check(FRAMES_SCHEMA.empty_table())
+        Condition(config.where).check()
 
 
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from common import UserError
 from common.versions import install_line
 from dataset.errors import DatasetError
+from dataset.frames.frames_file import FRAMES_SCHEMA
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyRelation
@@ -47,9 +48,9 @@ class Condition:
         self._error: type[Exception] = duckdb.Error
         self._connection = duckdb.connect(config=_CLOSED)
 
-    def check(self, frames: pa.Table) -> None:
-        """Raise DatasetError if this is not a condition on the columns of `frames`; it is not evaluated."""
-        self._answered(frames, lambda chosen: None)
+    def check(self) -> None:
+        """Raise DatasetError if this is not a condition on the columns of frames; it is not evaluated."""
+        self._answered(FRAMES_SCHEMA.empty_table(), lambda chosen: None)
 
     def holds(self, frames: pa.Table) -> NDArray[np.bool_]:
         """A mask (N,) of the rows of `frames` that meet the condition. Raises DatasetError if this is not a

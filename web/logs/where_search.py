@@ -15,7 +15,6 @@ from common.errors import printable
 from common.location import Location
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import FRAMES_SCHEMA
 from dataset.frames.frames_table import frames_table
 from dataset.samples.filter import Condition
 from recorder import Log
@@ -92,6 +91,6 @@ class WhereSearches:
 
 def _check(where: str) -> None:
     try:
-        Condition(where).check(FRAMES_SCHEMA.empty_table())
+        Condition(where).check()
     except UserError as error:
         raise UserError(printable(str(error))) from None
