@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from common.car import MAX_STEERING_DEG
 from common.progress import track
 from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
@@ -21,7 +20,7 @@ from dataset.samples.samples_format import SessionLabels
 from recorder.rows.devices import DEVICES, most_used_of
 from recorder.rows.label_plan import AS_RECORDED, goes_by_lag, plan_labels
 from recorder.rows.row_quality import States
-from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
+from recorder.rows.steering_habits import SteeringHabits, steering_habits
 from recorder.topics import VEHICLE_COLUMNS
 
 
@@ -31,34 +30,23 @@ def labels_of_sessions(
     """The habits and label plan of each session, from its frames file and its log's entry. Raises FramesError if a
     file is damaged."""
     names = list(frames)
-    results = tasks(
-        habits_of_frames, [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
-    )
-    habits = {
-        names[number]: session_habits
-        for number, session_habits in track(results, "reading the steering", len(names))
-    }
-    lagging = [name for name in frames if goes_by_lag(habits[name], built[name].driven_by)]
-    lags = {name: built[name].lag for name in lagging}
-    return {
-        name: replace(
-            _labels(config, habits[name], lags.get(name), built[name].driven_by),
-            set_speeds_mph=built[name].set_speeds_mph,
-        )
-        for name in frames
-    }
+    calls = [(frames[name], assumed_deg(built[name].max_steering_deg)) for name in names]
+    results = track(tasks(habits_of_frames, calls), "reading the steering", len(names))
+    habits = {names[number]: session_habits for number, session_habits in results}
+    return {name: _labels(config, habits[name], built[name]) for name in names}
 
 
-def _labels(config: IndexConfig, habits: SteeringHabits, lag: LagFinding | None, driver: str) -> SessionLabels:
-    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, lag, driver)
+def _labels(config: IndexConfig, habits: SteeringHabits, built: BuiltLog) -> SessionLabels:
+    lag = built.lag if goes_by_lag(habits, built.driven_by) else None
+    plan = AS_RECORDED if config.labels == "as-recorded" else plan_labels(habits, lag, built.driven_by)
     if config.label_smooth_s is not None:
         plan = replace(plan, smooth_s=config.label_smooth_s, why=AS_RECORDED.why)
     if config.label_shift_s is not None:
         plan = replace(plan, shift_s=config.label_shift_s, why=AS_RECORDED.why)
-    return SessionLabels(habits, lag.lag if lag else None, plan)
+    return SessionLabels(habits, lag.lag if lag else None, plan, built.set_speeds_mph)
 
 
-def habits_of_frames(file: Path, max_steering_deg: float = MAX_STEERING_DEG) -> SteeringHabits:
+def habits_of_frames(file: Path, max_steering_deg: float) -> SteeringHabits:
     """The steering habits in the rows of a session that have pictures. `max_steering_deg` is the car's angle at
     steering 1. Raises FramesError if the file is damaged."""
     names = ("row", "log_time_ns", *VEHICLE_COLUMNS)
