@@ -89,17 +89,14 @@ class IndexConfig:
 
     def __post_init__(self) -> None:
         """Raises ValueError, which names the flag, for a value out of range."""
-        is_none_alone = "none" not in self.alter or len(self.alter) == 1
+        is_per_bin = not isinstance(self.per_bin, int) or self.per_bin >= 1
+        names_once = len(set(self.alter)) == len(self.alter) and ("none" not in self.alter or len(self.alter) == 1)
+        ahead_s = self.speed_ahead_s
         checks = (
             ("--bins", self.bins, 1 <= self.bins <= 10_000, "1 to 10,000"),
             ("--max-uses", self.max_uses, self.max_uses >= 1, "at least 1"),
             ("--cameras", "", len(self.cameras) > 0, "at least one"),
-            (
-                "--per-bin",
-                self.per_bin,
-                not isinstance(self.per_bin, int) or self.per_bin >= 1,
-                "mean, median, or a number of at least 1",
-            ),
+            ("--per-bin", self.per_bin, is_per_bin, "mean, median, or a number of at least 1"),
             # a comparison with NaN is false
             ("--validation-share", self.validation_share, 0 <= self.validation_share < 1, "0 to less than 1"),
             ("--seed", self.seed, self.seed >= 0, "0 or more"),
@@ -108,18 +105,8 @@ class IndexConfig:
             ("--side-correction", self.side_correction, abs(self.side_correction) <= 2, "-2 to 2"),
             ("--label-smooth", self.label_smooth_s, 0 <= (self.label_smooth_s or 0) <= 60, "0 to 60 seconds"),
             ("--label-shift", self.label_shift_s, abs(self.label_shift_s or 0) <= 10, "-10 to 10 seconds"),
-            (
-                "--speed-ahead",
-                self.speed_ahead_s,
-                0 <= self.speed_ahead_s <= MAX_AHEAD_S,
-                f"0 to {MAX_AHEAD_S:g} seconds",
-            ),
-            (
-                "--alter",
-                " ".join(self.alter),
-                len(set(self.alter)) == len(self.alter) and is_none_alone,
-                "each alteration once, or only none",
-            ),
+            ("--speed-ahead", ahead_s, 0 <= ahead_s <= MAX_AHEAD_S, f"0 to {MAX_AHEAD_S:g} seconds"),
+            ("--alter", " ".join(self.alter), names_once, "each alteration once, or only none"),
         )
         for flag, value, is_valid, expected in checks:
             if not is_valid:
