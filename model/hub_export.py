@@ -63,7 +63,7 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
     require_onnx()
     config = load_config(run)
     network = load_network(run)
-    own_file = _own_file(config, run)
+    code, own_file = _own_code(config, run)
     epochs = [epoch for epoch in read_epochs(run) if epoch.is_best]
     results = last_results(run)
     with new_folder(folder) as part, run_write_errors(folder):
@@ -81,7 +81,7 @@ def export_to_hub(run: Path | str, folder: Path | str, *, licence: str | None = 
             epoch=epochs[-1] if epochs else None,
             results=results,
             licence=licence,
-            code=_code_of(config, run, has_file=bool(own_file)),
+            code=code,
             onnx_example="" if onnx_problem else example(picture_of_run(run), f'"{ONNX_FILE}"', '"picture.jpg"'),
         )
         (part / CARD_FILE).write_text(card(about), encoding="utf-8")
@@ -107,21 +107,16 @@ def without_places(config: Mapping[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _own_file(config: dict[str, Any], run: Path) -> bytes:
-    """The content of the file of a user's own network that this process loaded; empty for other networks."""
+def _own_code(config: dict[str, Any], run: Path) -> tuple[str, bytes]:
+    """The name that loads a user's own network from the new folder, and the content of its file, if it has one.
+    Both are empty for a network of the toolkit."""
     stored = stored_network(config, run)
     if not is_own(stored.name):
-        return b""
+        return "", b""
     code = named_code(stored.name, stored.file_sha256)
-    return b"" if code is None else code.source
-
-
-def _code_of(config: dict[str, Any], run: Path, *, has_file: bool) -> str:
-    """The name that loads the run's code from its new folder; empty for a network of the toolkit."""
-    name = stored_network(config, run).name
-    if not is_own(name):
-        return ""
-    return f"{NETWORK_FILE}:{name.rpartition(':')[2]}" if has_file else name
+    if code is None or not code.source:
+        return stored.name, b""
+    return f"{NETWORK_FILE}:{stored.name.rpartition(':')[2]}", code.source
 
 
 def _write_onnx(run: Path, path: Path) -> str:
