@@ -115,14 +115,6 @@ def removed_unless_saved(folder: Path, has_learnt: Callable[[], bool]) -> Iterat
             shutil.rmtree(folder)
 
 
-def newest_run(runs: Path) -> Path:
-    """The run with the newest weights. Raises RunError if `runs` has no trained run."""
-    weights = sorted(runs.glob(f"*/{WEIGHTS}"), key=lambda path: path.stat().st_mtime_ns)
-    if not weights:
-        raise RunError(f"{runs}: no trained run in it; train one with `bc-train`")
-    return weights[-1].parent
-
-
 def find_run(name: str | None, runs: Location | str) -> Path:
     """Find a trained run by name (in `runs`), by path or by URL. Without a name: the run with the newest weights.
     NAME/last has a run's last weights. For a run in a store, returns its copy in the user's cache."""
@@ -132,9 +124,12 @@ def find_run(name: str | None, runs: Location | str) -> Path:
             url = read_record(config_folder(copy)).url
             raise RunError(f"{url}: its first epoch is not finished; `bc-train --resume {url}`")
         return copy
-    runs = _local_folder(runs)
+    runs = RUNS if isinstance(runs, Url) else runs
     if name is None:
-        return newest_run(runs)
+        weights = sorted(runs.glob(f"*/{WEIGHTS}"), key=lambda path: path.stat().st_mtime_ns)
+        if not weights:
+            raise RunError(f"{runs}: no trained run in it; train one with `bc-train`")
+        return weights[-1].parent
     for folder in (runs / name, Path(name)):
         if (folder / WEIGHTS).is_file() or is_last_weights(folder):
             return folder
@@ -146,10 +141,7 @@ def find_run(name: str | None, runs: Location | str) -> Path:
             )
         resume = f"`bc-train --resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
-    raise RunError(
-        f"{_expected_path(name, runs)}: no trained run there ({WEIGHTS} is missing);"
-        f" {_suggestion(name, runs, WEIGHTS)}"
-    )
+    raise _missing(name, runs, "trained run", WEIGHTS)
 
 
 def has_nothing_saved(run: Path) -> bool:
@@ -162,18 +154,20 @@ def find_any_run(name: str, runs: Location) -> Path:
     it does not exist."""
     if (copy := _downloaded(name, runs)) is not None:
         return copy
-    runs = _local_folder(runs)
+    runs = RUNS if isinstance(runs, Url) else runs
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
-    raise RunError(
-        f"{_expected_path(name, runs)}: no run there ({CONFIG} is missing); {_suggestion(name, runs, CONFIG)}"
-    )
+    raise _missing(name, runs, "run", CONFIG)
 
 
-def _expected_path(name: str, runs: Path) -> Path:
-    """The path at which a run was expected: `name` if it is a path, else `name` in `runs`."""
-    return Path(name) if len(Path(name).parts) > 1 else runs / name
+def _missing(name: str, runs: Path, kind: str, file: str) -> RunError:
+    """The error if no run is called `name`, with a suggestion."""
+    given = Path(name)
+    place = given if len(given.parts) > 1 else runs / name
+    name = given.name if given.parent == runs else name  # runs/frist is in this folder, hub/frist is not
+    names = sorted(path.parent.name for path in runs.glob(f"*/{file}"))
+    return RunError(f"{place}: no {kind} there ({file} is missing); {suggest_runs(name, names, runs)}")
 
 
 def _downloaded(name: str | None, runs: Location) -> Path | None:
@@ -186,17 +180,6 @@ def _downloaded(name: str | None, runs: Location) -> Path | None:
     with progress_bar() as progress:
         copy = bring_run(stored, progress=progress)
     return copy / LAST if is_last else copy
-
-
-def _local_folder(runs: Location) -> Path:
-    """The local folder in which names of runs are looked up."""
-    return RUNS if isinstance(runs, Url) else runs
-
-
-def _suggestion(name: str, runs: Path, file: str) -> str:
-    given = Path(name)
-    name = given.name if given.parent == runs else name  # runs/frist is in this folder, hub/frist is not
-    return suggest_runs(name, sorted(path.parent.name for path in runs.glob(f"*/{file}")), runs)
 
 
 def picture_of_run(folder: Path) -> PictureSpec:
