@@ -66,8 +66,9 @@ class NetworkChoice:
     def build(self) -> PictureNetwork:
         """A new network with random weights. Raises RunError if that fails."""
         # With one target, `outputs` keeps its default: in an older network it may have another meaning.
-        takes_outputs = _takes(self.make, "outputs") and (self.outputs > 1 or _needs(self.make, "outputs"))
-        outputs = {"outputs": self.outputs} if takes_outputs else {}
+        taken = _parameter(self.make, "outputs")
+        is_given = taken is not None and (self.outputs > 1 or taken.default is taken.empty)
+        outputs = {"outputs": self.outputs} if is_given else {}
         try:
             made = self.make(**{**outputs, **self.arguments})
         except RunError:
@@ -152,7 +153,7 @@ def choose_network(config: TrainConfig) -> NetworkChoice:
         standardized = {"standardized": True} if config.light == "standardized" else {}
         choice = built_in(config.network, {**standardized, **arguments})
     choice = replace(choice, outputs=len(config.targets))
-    if _takes(choice.make, "dropout"):
+    if _parameter(choice.make, "dropout") is not None:
         return replace(choice, arguments={"dropout": config.dropout, **choice.arguments})
     if config.dropout not in (0.0, TrainConfig.dropout):
         raise UsageError(
@@ -194,16 +195,11 @@ def _parsed(arguments: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def _takes(make: Callable[..., Any], argument: str) -> bool:
+def _parameter(make: Callable[..., Any], name: str) -> inspect.Parameter | None:
     try:
-        return argument in inspect.signature(make).parameters
+        return inspect.signature(make).parameters.get(name)
     except (TypeError, ValueError):  # a callable that is not written in Python
-        return False
-
-
-def _needs(make: Callable[..., Any], argument: str) -> bool:
-    """True if `argument`, a parameter of `make`, has no default."""
-    return inspect.signature(make).parameters[argument].default is inspect.Parameter.empty
+        return None
 
 
 def _why(error: Exception) -> str:
