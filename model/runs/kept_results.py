@@ -17,8 +17,7 @@ import msgspec
 from common.untrusted import read_bounded
 from model.errors import RunError
 from model.runs.run_config import config_folder, weights_checksum
-from model.runs.run_files import RESULTS_FILE as RESULTS_FILE
-from model.runs.run_files import append_json_line
+from model.runs.run_files import RESULTS_FILE, append_json_line
 
 _MAX_BYTES: Final = 64 << 20  # a hundred thousand results
 

@@ -129,15 +129,11 @@ def _not_allowed(run: Path, what: str, flag: str, place: Location) -> RunError:
 
 
 def _allowed(run: Path) -> AllowedPlaces:
+    """Places in the project of the run; for a run in a store, in its bucket and in the current project."""
     folder = config_folder(run)
-    return AllowedPlaces(folder, *_projects(folder))
-
-
-def _projects(folder: Path) -> list[Location]:
-    """The folder that holds runs/ with the run in it; for a run in a store, its bucket and the current project."""
     if url := cached_from(folder):
-        return [location(url), real_path(RUNS).parent]
-    return [real_path(folder).parent.parent]
+        return AllowedPlaces(folder, location(url), real_path(RUNS).parent)
+    return AllowedPlaces(folder, real_path(folder).parent.parent)
 
 
 def _place_of(run: Path, stored: object) -> Location | None:

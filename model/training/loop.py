@@ -193,7 +193,9 @@ class TrainingLoop:
     def _train_batch(self, batch: int, pictures: Tensor, labels: Tensor) -> Tensor:
         """Learn the batch with the number `batch`, from 1. Returns the sum of its squared errors."""
         config = self.config
-        torch.manual_seed(_dropout_seed(config.seed, self.position.epoch, batch))
+        # the 0 gives the same seeds as earlier versions, for seeds of 2**32 and more
+        entropy = np.random.SeedSequence((config.seed, self.position.epoch, batch, 0))
+        torch.manual_seed(int(entropy.generate_state(1, np.uint64)[0]))
         samples = min(config.batch, len(self.loader) - (batch - 1) * config.batch)
         squared_error = self.steps.take(pictures, labels, samples)
         self.averaged.update(self.network, (self.position.epoch - 1) * self.loader.batches + batch)
@@ -308,8 +310,3 @@ class _EpochSums:
         unreported = squared_error - self.reported_squared_error, self.samples - self.reported_samples
         self.reported_squared_error, self.reported_samples = squared_error, self.samples
         return unreported
-
-
-def _dropout_seed(seed: int, epoch: int, batch: int) -> int:
-    # the 0 gives the same seeds as earlier versions, for seeds of 2**32 and more
-    return int(np.random.SeedSequence((seed, epoch, batch, 0)).generate_state(1, np.uint64)[0])
