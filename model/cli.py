@@ -269,8 +269,10 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
             print_message(f"{config.index}: not the samples of {like}, which are in {short_path(index)}")
         return index, max(codes)
     if not is_built:
-        if not _is_built_unasked(config.index):
-            raise missing_index(config.index)
+        index = config.index
+        # only of the default name, in a folder that exists: another name may be misspelt
+        if not (isinstance(index, Path) and index.name == Train.index.name and index.parent.is_dir()):
+            raise missing_index(index)
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
         _, code = _build_index(logs, local_path(config.index), settings, config.sessions)
@@ -283,11 +285,6 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
                 f"{config.index}: does not hold {first_of(absent)}; `bc-index` takes in all of {config.sessions}"
             )
     return config.index, DONE
-
-
-def _is_built_unasked(index: Location) -> bool:
-    """True for the default name of an index, in a folder that exists: another name may be misspelt."""
-    return isinstance(index, Path) and index.name == Train.index.name and index.parent.is_dir()
 
 
 def _build_index(

@@ -96,12 +96,9 @@ def defaults() -> Train:
     Raises UsageError for --like with another --recipe: the recipe would change no setting.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--resume")
-    parser.add_argument("--like")
-    parser.add_argument("--init")
+    for flag in ("--resume", "--like", "--init", "--network", "--index"):
+        parser.add_argument(flag)
     parser.add_argument("--runs", type=location, default=RUNS)
-    parser.add_argument("--network")
-    parser.add_argument("--index")
     parser.add_argument("--sessions", type=location)
     settings = TrainConfig.of(recipe_given())
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
