@@ -46,7 +46,10 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bin
     if worst:
         print_result("look at them, the worst one first:")
         for frame in worst:
-            print_result(f"    {_play(evaluation, frame)}")
+            log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
+            since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
+            at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
+            print_result(f"    bc-play {log} --at {at_ms / 1000:.3f} --run {run_argument(evaluation.run)}")
         print_result()
 
 
@@ -70,14 +73,6 @@ def print_drives(results: Sequence[DriveResult]) -> None:
         )
     print_table(table)
     print_result(f"look at a drive with `bc-play {shlex.quote(str(results[-1].log))}`")
-
-
-def _play(evaluation: Evaluation, frame: WorstFrame) -> str:
-    """The command that shows a frame with the network's prediction."""
-    log = shlex.quote(str(short_path(evaluation.logs[frame.session])))
-    since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
-    at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
-    return f"bc-play {log} --at {at_ms / 1000:.3f} --run {run_argument(evaluation.run)}"
 
 
 def _measures_table(evaluation: Evaluation) -> Table:
