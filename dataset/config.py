@@ -84,7 +84,6 @@ class IndexConfig:
 
     @classmethod
     def of(cls, recipe: Recipe) -> IndexConfig:
-        """The default settings of the index for a recipe."""
         return cls(**cls.EARLIER) if recipe == "original" else cls()
 
     def __post_init__(self) -> None:

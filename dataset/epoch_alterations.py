@@ -74,8 +74,6 @@ class Drawn:
 
 @dataclass(frozen=True)
 class EpochAlterations:
-    """The alterations of a training's pictures."""
-
     names: Sequence[EpochAlteration]
     seed: int
     side_correction: float

@@ -118,7 +118,6 @@ class AtWheel:
             self._eye.offer(EyeMoment(row, pose, state, telemetry.picture))
 
     def event(self, text: str, *, is_problem: bool) -> None:
-        """Show a line about an event."""
         self._wheel.event(text, is_problem=is_problem)
 
     def end(self, log: Path, rows: int) -> None:

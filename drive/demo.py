@@ -46,7 +46,6 @@ _MADE: Final = ("sessions", "index", "runs", "drives")
 
 
 def commands_of(config: Demo) -> list[str]:
-    """The commands of the demo, in order."""
     tracks: tuple[str, ...] = ("lake", "mountain")
     share, laps, epochs = config.share, config.laps, config.epochs
     network = ""

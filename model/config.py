@@ -100,7 +100,6 @@ class TrainConfig:
 
     @classmethod
     def of(cls, recipe: Recipe) -> TrainConfig:
-        """The defaults of a recipe."""
         if recipe == "original":
             return cls(**cls.EARLIER)
         if recipe == "people":

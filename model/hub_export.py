@@ -40,8 +40,6 @@ ONNX_FILE, CARD_FILE = "model.onnx", "README.md"
 
 @dataclass(frozen=True)
 class HubFolder:
-    """A written folder, ready to upload."""
-
     folder: Path
     files: tuple[str, ...]
     has_driven: bool

@@ -50,8 +50,6 @@ class BinErrors:
 
 @dataclass(frozen=True)
 class Measures:
-    """The errors of a network on some frames."""
-
     frames: int
     network: Errors
     zero: Errors  # of always predicting 0 on the same frames
@@ -62,7 +60,6 @@ class Measures:
 
     @property
     def unit(self) -> SteeringUnit:
-        """The unit in which people read these errors."""
         return steering_unit(self.max_deg)
 
     @property

@@ -103,7 +103,6 @@ def _unit(measures: Measures) -> str:
 
 
 def _errors(measures: Measures) -> list[tuple[str, list[float]]]:
-    """The rows of the table of errors."""
     rows = [
         ("this network", measures.network, measures.balanced_rmse_deg),
         ("always the mean", measures.mean, measures.mean_balanced_rmse_deg),
@@ -117,7 +116,6 @@ def _errors(measures: Measures) -> list[tuple[str, list[float]]]:
 
 
 def _drive(about: ModelCard, kept: KeptResult) -> dict[str, object]:
-    """A row of the table of drives."""
     ending, unit = ("", " of half the road") if kept.way == "simulator" else ("_m", " m")
     distance_m = kept.result.get("distance_m")
     return {

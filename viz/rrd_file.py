@@ -24,8 +24,6 @@ _READ_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class RrdFile:
-    """A recording that is written to a file."""
-
     recording: rr.RecordingStream
     has_failed: threading.Event
     """Set when the file can no longer be written."""

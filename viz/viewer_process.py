@@ -37,8 +37,6 @@ _NO_WINDOW: Final = re.compile(rb"EventLoopError")
 
 @dataclass(frozen=True)
 class Ports:
-    """The ports of a viewer on this machine."""
-
     web: int  # of the page
     data: int
 

@@ -116,7 +116,6 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
 
 
 def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
-    """A mask of the frames that are tagged `exclude`."""
     return lists_with(frames["tags"], EXCLUDE)
 
 

@@ -138,7 +138,6 @@ def _split_of(
 
 
 def _tags_of(row: NDArray[np.int64], tags: Sequence[Tag]) -> pa.Array:
-    """The names of the tags of each row."""
     if not tags:
         return pa.ListArray.from_arrays(np.zeros(len(row) + 1, np.int32), pa.array([], pa.string()))
     names: list[list[str]] = [[] for _ in row]

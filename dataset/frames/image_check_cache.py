@@ -128,7 +128,6 @@ def _check_log(
 
 
 def write_image_check(index: Path, session: str, fingerprint: str, findings: ImageFindings) -> None:
-    """Write the results for the log with this fingerprint."""
     stored = {"format": _FORMAT, "fingerprint": fingerprint, **msgspec.to_builtins(findings)}
     path = image_check_path(index, session)
     with index_write_errors(path), atomic_file(path, overwrite=True) as part:

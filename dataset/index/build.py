@@ -171,8 +171,6 @@ def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
 
 @dataclass(frozen=True)
 class _Build:
-    """The arguments of a build, and its steps."""
-
     by_name: Mapping[str, Location]  # logs, by session
     index: Path
     config: IndexConfig

@@ -56,7 +56,6 @@ class BuildState(msgspec.Struct, frozen=True):
 
     @classmethod
     def nothing(cls) -> BuildState:
-        """The state without an earlier build."""
         return cls(None, {}, [])
 
 

@@ -43,7 +43,6 @@ without a picture."""
 
 
 def decoding_threads() -> int:
-    """The number of threads that decode pictures by default."""
     return min(usable_cores(), _MOST_THREADS)
 
 
@@ -69,8 +68,6 @@ def _is_altered(rows: Rows) -> NDArray[np.bool_]:
 
 
 class Crops:
-    """The pictures of some samples."""
-
     def __init__(
         self, rows: Rows, logs: Mapping[str, Log], budget_bytes: int, spec: PictureSpec = ORIGINAL
     ) -> None:

@@ -121,7 +121,6 @@ class Samples(Closeable):
         return self._table(columns, split=_checked(split))
 
     def rows_of_split(self, split: Split, targets: Sequence[TargetName] = STEERING_ONLY) -> Rows:
-        """The samples of a split as arrays."""
         labels = (TARGETS[name].label_column for name in targets if name not in STEERING_ONLY)
         return self.rows(self.of_split(split, (*LOADED, *labels)), targets)
 

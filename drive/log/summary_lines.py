@@ -19,7 +19,6 @@ RATE_S: Final = 1.0
 
 
 def summary_lines(summary: DriveSummary) -> list[str]:
-    """The lines that are printed at the end of a drive."""
     speed_mph = summary.mean_speed_mph
     far = (
         "distance and speed unknown"

@@ -76,7 +76,6 @@ class Evaluation:
 
     @cached_property
     def other_targets(self) -> tuple[TargetErrors, ...]:
-        """The errors of the targets other than steering."""
         return tuple(
             target_errors(name, *(self.frames[column].to_numpy() for column in target_columns(name)))
             for name in self.targets[1:]

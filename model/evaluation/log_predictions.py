@@ -38,7 +38,6 @@ class LogPredictions:
 
     @property
     def unit(self) -> SteeringUnit:
-        """The unit in which people read the errors."""
         return steering_unit(self.max_deg)
 
     def error_deg(self, run: str) -> Values:
@@ -59,7 +58,6 @@ class LogPredictions:
         return worst_frames(pa.table(frames), count, self.max_deg)
 
     def summary(self, run: str) -> str:
-        """The errors of a run, in one line."""
         is_recorded = np.isfinite(self.recorded)
         if not is_recorded.any():
             return f"{run}: {counted(len(self.row), 'frame')}, no steering recorded with them to compare with"

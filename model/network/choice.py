@@ -163,7 +163,6 @@ def choose_network(config: TrainConfig) -> NetworkChoice:
 
 
 def built_in(name: str, arguments: Mapping[str, Any]) -> NetworkChoice:
-    """One of the toolkit's own networks."""
     module, _, kind = BUILT_IN[name].partition(":")
     return NetworkChoice(name, arguments, getattr(importlib.import_module(module), kind))
 

@@ -39,7 +39,6 @@ class Advice:
 
 
 def advice(numbers: RunNumbers) -> Advice:
-    """The advice of the first rule that applies."""
     return next(advised for rule in RULES if (advised := rule(numbers)) is not None)
 
 

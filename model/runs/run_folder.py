@@ -257,7 +257,6 @@ def load_answer_scale(folder: Path) -> AnswerScale:
 
 
 def _answer_scale(stored: Mapping[str, str], path: Path) -> AnswerScale:
-    """The answer scale in the metadata of weights or of a checkpoint."""
     if "position" in stored:
         position = position_of(stored, path)
         return AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)

@@ -78,7 +78,6 @@ class RunSummary:
 
     @property
     def unit(self) -> SteeringUnit:
-        """The unit in which people read the errors."""
         return steering_unit(self.max_deg)
 
     @property

@@ -21,8 +21,6 @@ MAX_HISTORY_BYTES: Final = 32 << 20
 
 @dataclass(frozen=True)
 class Step:
-    """Progress within an epoch."""
-
     epoch: int  # from 1
     batch: int  # from 1, of `batches`
     batches: int

@@ -105,7 +105,6 @@ class Verdict:
 
 
 def verdict_of(numbers: RunNumbers) -> Verdict:
-    """The verdict on a run, from its numbers."""
     measured = numbers.measured
     errors = () if measured is None else _compared_with_mean(measured)
     is_known = any(error.name == "driving error" for error in errors)

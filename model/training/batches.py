@@ -26,8 +26,6 @@ Advance = Callable[[int], object]
 
 
 class Batches(Protocol):
-    """The batches of a loader on a device."""
-
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
         """The batches of an epoch from `start_batch` on: pictures (N, 3, height, width) uint8 in channels_last
         memory, and labels (N,) or (N, K) float32, both on the device. A batch may be smaller than others, or

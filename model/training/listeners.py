@@ -15,8 +15,6 @@ _LOGGER: Final = logging.getLogger(__name__)
 
 
 class Listeners:
-    """Passes steps and epochs to all listeners."""
-
     def __init__(self, listeners: Sequence[Listener], notices: list[str]) -> None:
         """For each listener that fails, a line is added to `notices`."""
         self._listening = list(listeners)

@@ -19,8 +19,6 @@ from model.runs.worst_pictures import MAX_WORST_BYTES, WORST_FILE, WorstPictures
 
 
 class RunWriter:
-    """Writes the folder of a run."""
-
     def __init__(self, run: Path) -> None:
         self.run = run
         self.has_saved = False

@@ -27,8 +27,6 @@ _STEPS_BEFORE: Final = 3
 
 
 class TrainingSteps:
-    """Trains a network, batch by batch."""
-
     def __init__(
         self,
         network: PictureNetwork,

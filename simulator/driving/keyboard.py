@@ -43,8 +43,6 @@ class KeyPress(Act):
 
 
 class KeyboardDriver(Person):
-    """Drives a course with the left and the right key."""
-
     look_ahead_s = 0.9  # with 0.6 (the expert's) and with 1.2, it leaves the road more often at 15 and 20 mph
     dead_band = 0.12
 

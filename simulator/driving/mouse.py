@@ -43,8 +43,6 @@ class Drag(Act):
 
 
 class MouseDriver(Person):
-    """Drives a course by dragging a mouse."""
-
     look_ahead_s = 1.2  # drags are longer than key presses: with 0.9 the car weaves, and leaves the road at 15 mph
     dead_band = 0.15
 

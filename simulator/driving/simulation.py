@@ -29,7 +29,6 @@ class Simulation:
         return self._renderer.render(pose or self.course.pose, camera, scale)
 
     def jpeg(self, camera: Camera = "center", pose: Pose | None = None, scale: float = 1.0) -> bytes:
-        """The same picture as a JPEG."""
         picture = self.picture(camera, pose, scale)
         ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if not ok:  # never expected; without this, the picture would be lost silently

@@ -33,8 +33,6 @@ RETRY_S: Final = 0.05  # the Unity client retries without a delay, about 10,000 
 
 @dataclass(frozen=True)
 class SimulatorTelemetry:
-    """The telemetry of a moment."""
-
     steering: float  # -1 (left) .. 1 (right)
     throttle: float  # 0..1
     speed_mph: float

@@ -51,7 +51,6 @@ def smoothstep(values: Field) -> Field:
 
 
 def shape_terrain(track: Track, random: np.random.Generator) -> Terrain:
-    """Build the land around a track's road."""
     plan = track.line.points_m[:, :2]
     low, high = plan.min(axis=0) - MARGIN_M, plan.max(axis=0) + MARGIN_M
     columns, rows = np.ceil((high - low) / CELL_M).astype(int)

@@ -15,8 +15,6 @@ _NEAR_M = 30.0
 
 
 class Place(NamedTuple):
-    """A point of the centre line."""
-
     x_m: float
     y_m: float
     z_m: float

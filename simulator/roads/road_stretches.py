@@ -35,8 +35,6 @@ class Edge:
 
 @dataclass(frozen=True)
 class Look:
-    """The look of a stretch of road."""
-
     surface: Surface
     left: Edge
     right: Edge

@@ -33,8 +33,6 @@ WHOLE_S: Final = 2.0
 
 @dataclass(frozen=True)
 class FollowResult:
-    """The result of following a log to its end."""
-
     notice: str
     """A notice that the recording was killed; empty if it was finished."""
     skipped: Skipped

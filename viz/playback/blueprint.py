@@ -186,7 +186,6 @@ def _view(picture: Topic, at: str = "", prefix: str = "") -> rrb.View:
 
 
 def _column(name: str, topics: Collection[str]) -> rrb.Container:
-    """The column of one of several logs."""
     at, prefix = log_entity(name), f"{name}: "
     frames: list[Part] = []
     frames += [_view(TOPICS[name], at, prefix) for name in (CENTER, PILOT_INPUT) if name in topics]

@@ -191,7 +191,6 @@ def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
 
 
 def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
-    """Draw the messages of a whole log."""
     for topic, (time_ns, numbers) in drawn.numbers.items():  # all curves first
         drawing.send_numbers(topic, time_ns, numbers)
     drawing.picture_size = drawn.picture_size or drawing.picture_size
