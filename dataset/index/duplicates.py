@@ -14,7 +14,6 @@ import contextlib
 import hashlib
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -71,7 +70,7 @@ def shared_standing_rows(
     # the groups of equal keys of more than one session
     groups = np.unique(np.searchsorted(key[order], key[order][equal]))
     allow_open_files(len(frames))
-    standing: dict[int, dict[int, _Pair]] = defaultdict(dict)  # by session, and by the position of the frame
+    standing: dict[int, dict[int, _Pair]] = defaultdict(dict)  # by session, and by position in its frames
     with contextlib.ExitStack() as stack:
         opened: dict[int, _Session] = {}
         for start in groups.tolist():
@@ -89,13 +88,13 @@ def shared_standing_rows(
                 other, other_place = first_shown.setdefault(hashlib.sha256(data).digest(), (number, place))
                 if other == number:
                     continue
-                pair = _Pair(opened[other], other_place, opened[number], place)
-                if not pair.stands:
-                    raise pair.refused()
+                pair = opened[other], other_place, opened[number], place
+                if not (opened[other].stands(other_place) and opened[number].stands(place)):
+                    raise _refused(*pair)
                 standing[number][place] = standing[other][other_place] = pair
     for number, pairs in standing.items():
         if len(pairs) > MAX_STANDING_SHARE * extents[names[number]].frames:
-            raise next(iter(pairs.values())).refused()
+            raise _refused(*next(iter(pairs.values())))
     rows = {number: {opened[number].row(place) for place in pairs} for number, pairs in standing.items()}
     return {names[number]: tuple(sorted(rows[number])) for number in sorted(rows)}
 
@@ -145,26 +144,16 @@ class _Session:
         return bool(self._stands[position])
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """A picture that two sessions share, and its position in the frames of each."""
+_Pair = tuple[_Session, int, _Session, int]
+"""Two sessions that share a picture, each with its position in the frames."""
 
-    first: _Session
-    first_position: int
-    second: _Session
-    second_position: int
 
-    @property
-    def stands(self) -> bool:
-        return self.first.stands(self.first_position) and self.second.stands(self.second_position)
-
-    def refused(self) -> DatasetError:
-        first_row, second_row = self.first.row(self.first_position), self.second.row(self.second_position)
-        return DatasetError(
-            f"{self.first.path} and {self.second.path}: the same picture in both (rows {first_row} and"
-            f" {second_row}); index only one of them, or tag the rows `exclude` in one: `bc-log tag`"
-            f"{_seed_hint(self.first.metadata, self.second.metadata)}"
-        )
+def _refused(first: _Session, first_position: int, second: _Session, second_position: int) -> DatasetError:
+    rows = f"{first.row(first_position)} and {second.row(second_position)}"
+    return DatasetError(
+        f"{first.path} and {second.path}: the same picture in both (rows {rows}); index only one of them, or tag"
+        f" the rows `exclude` in one: `bc-log tag`{_seed_hint(first.metadata, second.metadata)}"
+    )
 
 
 def _keys(file: Path) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
