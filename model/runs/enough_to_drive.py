@@ -30,10 +30,6 @@ class Band:
     def share(self) -> float:
         return self.stayed / self.networks
 
-    @property
-    def interval(self) -> tuple[float, float]:
-        return wilson_interval(self.stayed, self.networks)
-
 
 EDGES: Final[dict[Hand, tuple[float, float]]] = {"keys": (1.05, 1.1), "smooth": (0.55, 0.7)}
 """Below the first edge, networks drive; from the second edge, they do not."""
@@ -75,7 +71,7 @@ def drivable(driving_error: float, hands: Collection[Hand], *, is_unseen: bool, 
             None, "errors are larger on rows of keys than on smooth ones, and these rows are of both, or unknown"
         )
     band = min(bands.values(), key=lambda band: band.below)
-    low, high = band.interval
+    low, high = wilson_interval(band.stayed, band.networks)
     share = f"{band.stayed} of {band.networks} networks with an error like this stayed on built-in roads"
     why = f"{share} ({100 * low:.0f} to {100 * high:.0f} %)"
     if band.stayed == band.networks and not is_unseen:
