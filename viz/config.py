@@ -81,8 +81,7 @@ def check_files(config: Play) -> None:
     """Raise UserError or UsageError for folders, files that must not be written, and logs given as addresses."""
     if folder := next((log for log in config.logs if log.is_dir()), None):
         raise UserError(f"{folder} is a folder: give a log; `bc-web --open` shows how runs were trained")
-    _refuse_overwriting_logs(config)
-    _refuse_other_suffixes(config)
+    _refuse_unusable_names(config)
     _refuse_logs_as_addresses(config)
 
 
@@ -120,25 +119,18 @@ def check_viewer_flags(config: Play) -> None:
     check_port("--web-port", config.web_port)
 
 
-def _refuse_overwriting_logs(config: Play) -> None:
-    """Raise UserError for a file that would replace a log that is read, or another written file."""
-    flags = (("--save", config.save), ("--video", config.video), ("--write", config.write))
-    written = [(flag, path) for flag, path in flags if path is not None]
-    for at, (flag, path) in enumerate(written):
+def _refuse_unusable_names(config: Play) -> None:
+    """Raise UserError for a file that would replace a log that is read, or another written file, and UsageError
+    for a name without the suffix of its format."""
+    files = ("--save", ".rrd", config.save), ("--video", ".mp4", config.video), ("--write", ".mcap", config.write)
+    written = [(flag, suffix, path) for flag, suffix, path in files if path is not None]
+    for at, (flag, _, path) in enumerate(written):
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
             raise UserError(f"{flag} {path}: is the log itself, which must not change; give another name")
-        if any(real_path(path) == real_path(other) for _, other in written[:at]):
+        if any(real_path(path) == real_path(other) for *_, other in written[:at]):
             raise UsageError(f"{flag} {path}: two files would have this name; give another name")
-
-
-def _refuse_other_suffixes(config: Play) -> None:
-    """Raise UsageError for a file name without the suffix of its format."""
-    for flag, path, suffix in (
-        ("--save", config.save, ".rrd"),
-        ("--video", config.video, ".mp4"),
-        ("--write", config.write, ".mcap"),
-    ):
-        if path is not None and path.suffix.lower() != suffix:
+    for flag, suffix, path in written:
+        if path.suffix.lower() != suffix:
             raise UsageError(f"{flag} {path}: it writes an {suffix} file; give a name that ends in {suffix}")
 
 
