@@ -34,7 +34,11 @@ class Adam:
         gradients = {parameter: parameter.grad for parameter in self.parameters if parameter.grad is not None}
         for parameter in gradients:
             if parameter not in self.state:
-                self.state[parameter] = self._new_state(parameter)
+                self.state[parameter] = {
+                    "step": torch.zeros((), device=parameter.device if self.is_fused else None),
+                    "exp_avg": torch.zeros_like(parameter),
+                    "exp_avg_sq": torch.zeros_like(parameter),
+                }
         states = [self.state[parameter] for parameter in gradients]
         adam(
             list(gradients),
@@ -53,11 +57,3 @@ class Adam:
             eps=1e-8,
             maximize=False,
         )
-
-    def _new_state(self, parameter: Tensor) -> dict[str, Tensor]:
-        device = parameter.device if self.is_fused else None
-        return {
-            "step": torch.zeros((), dtype=torch.float32, device=device),
-            "exp_avg": torch.zeros_like(parameter),
-            "exp_avg_sq": torch.zeros_like(parameter),
-        }

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from model.runs.run_summary import RunSummary
 
 SORTED_BY: Final[dict[str, Callable[[RunSummary], Any]]] = {
-    "newest": lambda run: _descending(run.written_at),
+    "newest": lambda run: tuple(-ord(character) for character in run.written_at),
     "name": lambda run: run.name,
     "rmse": lambda run: run.rmse_share,
     "balanced-rmse": lambda run: run.balanced_rmse_share,
@@ -125,10 +125,6 @@ def order_of(by: str, run: RunSummary) -> tuple[bool, Any, str]:
     value = SORTED_BY[by](run)
     is_unknown = isinstance(value, float) and math.isnan(value)
     return is_unknown, 0.0 if is_unknown else value, run.name
-
-
-def _descending(text: str) -> tuple[int, ...]:
-    return tuple(-ord(character) for character in text)
 
 
 def _print_json(runs: Sequence[RunSummary]) -> None:

@@ -180,7 +180,9 @@ def pooled_convolution(layer: nn.Conv2d, inputs: Tensor) -> Tensor:
     channels, side = layer.in_channels, layer.kernel_size[0]
     height, width = ((size - side + 1) // 2 for size in inputs.shape[2:])
     blocks = side // 2 + 1  # that a kernel touches
-    pixels = inputs.to(_autocast_dtype(inputs)).permute(0, 2, 3, 1)
+    kind = inputs.device.type
+    dtype = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else inputs.dtype
+    pixels = inputs.to(dtype).permute(0, 2, 3, 1)
     pixels = pixels[:, : 2 * height + side - 1, : 2 * width + side - 1]
     shape = len(pixels), height + blocks - 1, 2, width + blocks - 1, 2, channels
     pixels = pixels.reshape(shape).transpose(2, 3).flatten(3)
@@ -205,11 +207,6 @@ def _is_faster_in_onednn(inputs: Tensor) -> bool:
         and bool(torch.cpu.get_capabilities().get("amx_bf16"))
         and "ONEDNN_MAX_CPU_ISA" not in os.environ  # it may disable AMX
     )
-
-
-def _autocast_dtype(inputs: Tensor) -> torch.dtype:
-    kind = inputs.device.type
-    return torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else inputs.dtype
 
 
 def _convolved(layer: nn.Conv2d, planes: Tensor) -> Tensor:

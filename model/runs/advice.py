@@ -103,7 +103,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
     if measured is None or any(_interventions(drive) for drive in driven):
         return None
     band = numbers.drivable.band if numbers.drivable is not None else None
-    if band is None or band.share < 1 or not _beats_the_mean_on_turns(numbers):
+    if band is None or band.share < 1 or measured.network.turning_mae_deg >= measured.mean.turning_mae_deg:
         return None
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"
     if not numbers.is_built_in:
@@ -207,11 +207,6 @@ RULES: Final[tuple[Callable[[RunNumbers], Advice | None], ...]] = (
 )
 """Wrong labels make everything else useless. Measured causes come before likely ones. Advice that costs minutes
 comes before a new recording."""
-
-
-def _beats_the_mean_on_turns(numbers: RunNumbers) -> bool:
-    measured = numbers.measured
-    return measured is None or not measured.network.turning_mae_deg >= measured.mean.turning_mae_deg
 
 
 def _interventions(drive: Mapping[str, Any]) -> int:

@@ -48,7 +48,13 @@ def provenance(
         "targets": list(config.targets),
         "parameters": parameters,
         "training": asdict(config),
-        "machine": machine_settings(machine),
+        "machine": {  # its settings that change the last bits of the weights; "training" has the others
+            "device": machine.device.type,
+            "arithmetic": machine.arithmetic,
+            "micro_batch": machine.micro_batch,
+            "threads": torch.get_num_threads(),
+            "torch": torch.__version__,
+        },
         "data": {
             "fingerprint": samples.fingerprint,
             "content_fingerprint": samples.content_fingerprint,
@@ -78,17 +84,6 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
         **{name: version_of(name) for name in (TOOLKIT, "torch", "numpy", "pyarrow")},
         "opencv": cv2.__version__,
-    }
-
-
-def machine_settings(machine: Machine) -> dict[str, Any]:
-    """Settings of the machine that change the last bits of the weights. `TrainConfig` has the others."""
-    return {
-        "device": machine.device.type,
-        "arithmetic": machine.arithmetic,
-        "micro_batch": machine.micro_batch,
-        "threads": torch.get_num_threads(),
-        "torch": torch.__version__,
     }
 
 

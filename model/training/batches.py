@@ -75,11 +75,8 @@ class PinnedBatches:
         self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None  # type: ignore[no-untyped-call]
 
     def epoch(self, epoch: int, start_batch: int = 0) -> Iterator[tuple[Tensor, Tensor]]:
-        return self._one_ahead(self._loader.epoch(epoch, start_batch))
-
-    def _one_ahead(self, batches: Iterator[Batch]) -> Iterator[tuple[Tensor, Tensor]]:
         ahead: _Copy | None = None
-        for batch in batches:
+        for batch in self._loader.epoch(epoch, start_batch):
             following = _Copy(batch, self._device, self._stream)
             if ahead is not None:
                 yield ahead.arrived()
