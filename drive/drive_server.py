@@ -116,7 +116,9 @@ class DriveServer:
             if self._stopping_since_s is None:
                 self.stop()
             self._notify_stopping(may_hurry=is_stop_requested)
-            return self._all_stopped() or (stopped is not None and stopped.again.is_set())
+            is_late = time.monotonic() - (self._stopping_since_s or 0.0) >= BRAKING_S
+            all_stand = all(session.is_at_rest for session in self._driven.values())
+            return is_late or all_stand or (stopped is not None and stopped.again.is_set())
 
         self._server.run(is_over)
         for session in self._stopping:
@@ -191,10 +193,6 @@ class DriveServer:
     @property
     def _failure(self) -> UserError | None:
         return next((session.log.failure for session in self.sessions if session.log.failure is not None), None)
-
-    def _all_stopped(self) -> bool:
-        is_late = time.monotonic() - (self._stopping_since_s or 0.0) >= BRAKING_S
-        return is_late or all(session.is_at_rest for session in self._driven.values())
 
     def _brake(self, session: DriveSession) -> None:
         session.stop()

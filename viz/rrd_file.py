@@ -49,7 +49,7 @@ def rrd_file(
         with part.open("xb", buffering=0) as stream:
             pipe = _Pipe(stream)
             try:
-                recording.save(pipe.name_to_open, default_blueprint=layout)
+                recording.save(f"/dev/fd/{pipe.own_end}", default_blueprint=layout)
                 pipe.close_own_end()
                 yield RrdFile(recording, pipe.has_failed)
                 recording.flush()
@@ -75,13 +75,9 @@ class _Pipe(threading.Thread):
         self.has_failed = threading.Event()
         self.error: OSError | None = None
         self._stream = stream
-        self._from, self._own_end = os.pipe()
+        self._from, self.own_end = os.pipe()
         self._is_own_end_open = True
         self.start()
-
-    @property
-    def name_to_open(self) -> str:
-        return f"/dev/fd/{self._own_end}"
 
     def run(self) -> None:
         while data := os.read(self._from, _READ_BYTES):
@@ -92,7 +88,7 @@ class _Pipe(threading.Thread):
         """Close this end after Rerun has opened its own: the data then ends when Rerun closes its end."""
         if self._is_own_end_open:
             self._is_own_end_open = False
-            os.close(self._own_end)
+            os.close(self.own_end)
 
     def finish(self) -> None:
         self.close_own_end()
