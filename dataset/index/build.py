@@ -48,13 +48,7 @@ from dataset.index.staging import build_lock, finish_interrupted_build, staged, 
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.filter import Condition
-from dataset.samples.samples_format import (
-    SAMPLES_FORMAT,
-    SAMPLES_NAME,
-    Balance,
-    SessionCounts,
-    SessionLabels,
-)
+from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
 from recorder.log.session_car import CAR_KEY
@@ -276,11 +270,7 @@ def _about_log(log: Location, index: Path, entry: BuiltLog) -> dict[str, Any]:
 
 
 def _up_to_date(
-    index: Path,
-    held: Mapping[str, BuiltLog],
-    places: Mapping[str, object],
-    config: IndexConfig,
-    state: BuildState,
+    index: Path, held: Mapping[str, BuiltLog], places: Mapping[str, object], config: IndexConfig, state: BuildState
 ) -> _Contents | None:
     """Balance, counts and labels from samples.parquet, if building it again would give the same file; else
     None."""

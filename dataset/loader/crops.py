@@ -80,10 +80,7 @@ class Crops:
         self._is_kept = np.zeros(kept, np.bool_)
 
     def fill(
-        self,
-        pictures: Image,
-        samples: Numbers,
-        altered: Callable[[Image, Numbers], object] | None = None,
+        self, pictures: Image, samples: Numbers, altered: Callable[[Image, Numbers], object] | None = None
     ) -> Failed:
         """Write the pictures of `samples` (N,) into `pictures` (N, height, width, 3). `altered` alters BGR ones.
 

@@ -170,10 +170,7 @@ class RunNumbers:
         return "" if folder == "sessions" else f" --sessions {shlex.quote(folder)}"
 
     def of_rows(
-        self,
-        measured: Measures | None,
-        sessions: Sequence[str],
-        known: Mapping[str, Hand] = MappingProxyType({}),
+        self, measured: Measures | None, sessions: Sequence[str], known: Mapping[str, Hand] = MappingProxyType({})
     ) -> RunNumbers:
         """A copy with the errors `measured` on rows of these sessions. `known` says how sessions that are not in
         the run's index were steered."""

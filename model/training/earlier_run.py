@@ -15,13 +15,7 @@ from model.config import TrainConfig
 from model.errors import RunError
 from model.network.choice import NetworkChoice
 from model.network.names import is_own
-from model.runs.network_of_run import (
-    light_of,
-    network_flag,
-    picture_of,
-    stored_network,
-    stored_targets,
-)
+from model.runs.network_of_run import light_of, network_flag, picture_of, stored_network, stored_targets
 from model.runs.provenance import is_trained_on, training_of
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, WEIGHTS, config_folder, load_config

@@ -117,10 +117,7 @@ def train(
         on_gpu = [machine.device] if machine.device.type == "cuda" else []
         stack.enter_context(torch.random.fork_rng(devices=on_gpu))  # keep the caller's random state
         writer = RunWriter(run)
-        origin = {
-            "index": relative_place(run, index),
-            **provenance(samples, config, network, parameters, machine),
-        }
+        origin = {"index": relative_place(run, index), **provenance(samples, config, network, parameters, machine)}
         if init is not None:
             refuse_other_steering(init, samples.max_steering_deg, str(samples.path))
         if resume:
