@@ -149,10 +149,10 @@ _Pair = tuple[_Session, int, _Session, int]
 
 
 def _refused(first: _Session, first_position: int, second: _Session, second_position: int) -> DatasetError:
-    rows = f"{first.row(first_position)} and {second.row(second_position)}"
     return DatasetError(
-        f"{first.path} and {second.path}: the same picture in both (rows {rows}); index only one of them, or tag"
-        f" the rows `exclude` in one: `bc-log tag`{_seed_hint(first.metadata, second.metadata)}"
+        f"{first.path} and {second.path}: the same picture in both (rows {first.row(first_position)} and"
+        f" {second.row(second_position)}); index only one of them, or tag the rows `exclude` in one: `bc-log tag`"
+        f"{_seed_hint(first.metadata, second.metadata)}"
     )
 
 
