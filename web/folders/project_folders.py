@@ -21,7 +21,6 @@ from common.locks import is_being_written
 from dataset.index.build_state import Stat, stat_of
 from model.runs.run_files import CONFIG
 from recorder.log.logs_in_folder import logs_in
-from recorder.log.tags import tags_path
 from web.errors import WebError
 from web.folders.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
 from web.folders.stored_folders import StoredCopy, StoreListings
@@ -175,10 +174,6 @@ class ProjectFolders:
         """Raise StoreError for a log whose store did not answer the last request."""
         if isinstance(log, Url) and (problem := self._listings.problem(log.parent)):
             raise StoreError(problem)
-
-    def has_tags(self, log: Location) -> bool:
-        """False for a log in a store that has no file of tags."""
-        return isinstance(log, Path) or self.stat(tags_path(log)) is not None
 
     @cached_property
     def _stored_runs(self) -> StoredRuns | None:

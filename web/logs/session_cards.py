@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import pyarrow.compute as pc
@@ -26,16 +27,26 @@ from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.known_lag import lag_path
 from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag
+from recorder.log.tags import Tag, tags_by_content, tags_path
 from recorder.upkeep.log_info import LogInfo, describe
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
-from web.folders.file_versions import version_of
+from web.folders.file_versions import Newest, version_of
 from web.folders.project_folders import PLACES, Place, ProjectFolders, is_recording, key_of, shown_name
-from web.logs.log_tags import FileTags, LogTags
+
+_TAGS_KEPT: Final = 10_000  # of so many logs, in memory
 
 TagRows = tuple[str, int, int]
 """A tag as an index keeps it: its name, its first and its last row."""
+
+
+@dataclass(frozen=True)
+class FileTags:
+    """The contents of a log's file of tags."""
+
+    version: str  # of the file
+    tags: list[Tag]  # of this content of the log, in the order of their rows
+    stale: int  # tags of an earlier log with this name
 
 
 class Glance(msgspec.Struct, frozen=True):
@@ -127,7 +138,7 @@ class SessionCards:
         self._cache = cache
         self._glances = {place: Background[Location, Glance](pools[place], self._glance) for place in PLACES}
         self._shares = {place: Background[Path, Share](pools[place], self._share) for place in PLACES}
-        self._tags = LogTags(folders, cache)
+        self._tags = Newest[Location, FileTags](_TAGS_KEPT)
 
     @property
     def done(self) -> int:
@@ -136,27 +147,31 @@ class SessionCards:
 
     def cards(self, place: Place, patience_s: float | None) -> list[SessionCard]:
         """The cards of all logs in a folder, by name. Those not read within `patience_s` have no `info` yet."""
-        logs = self._folders.logs(place)
-        versions = [(path, self._folders.version_of_log(path)) for path in logs.values()]
-        glances = self._glances[place].results(versions, patience_s)
+        logs = self._read(place, patience_s)
         index = self._folders.local_index
         state = read_state(index)
-        frames = {path: frames_path(index, path) for path in logs.values()}
-        indexed = [frames[path] for path in logs.values() if session_name(path) in state.logs]
+        frames = {path: index / FRAMES_FOLDER / f"{session_name(path)}.parquet" for path, _, _ in logs}
+        indexed = [frames[path] for path in frames if session_name(path) in state.logs]
         shares = self._shares[place].results([(path, version_of(path)) for path in indexed], patience_s)
         return [
-            self._card(path, version, glances.get(path), self._in_index(path, state, shares.get(frames[path])))
-            for path, version in versions
+            self._card(path, version, glance, self._in_index(path, state, shares.get(frames[path])))
+            for path, version, glance in logs
         ]
 
     def fingerprints(self, place: Place, patience_s: float) -> dict[str, str]:
         """The fingerprint of each log in a folder, by session; "" if it is not read within `patience_s`."""
+        return {
+            session_name(path): glance.fingerprint if isinstance(glance, Glance) else ""
+            for path, _, glance in self._read(place, patience_s)
+        }
+
+    def _read(
+        self, place: Place, patience_s: float | None
+    ) -> list[tuple[Location, str, Glance | UserError | None]]:
+        """Each log of a folder, its version, and what was read of it within `patience_s`."""
         versions = [(path, self._folders.version_of_log(path)) for path in self._folders.logs(place).values()]
         glances = self._glances[place].results(versions, patience_s)
-        return {
-            session_name(path): glance.fingerprint if isinstance(glance := glances.get(path), Glance) else ""
-            for path, _ in versions
-        }
+        return [(path, version, glances.get(path)) for path, version in versions]
 
     def info(self, path: Location) -> LogInfo:
         """The description of a log; if it is in a store, from the cache. Raises LogError, StoreError."""
@@ -167,8 +182,24 @@ class SessionCards:
         return describe(path, with_tags=False) if is_measured_since else info
 
     def tags(self, path: Location, fingerprint: str) -> FileTags:
-        """The tags of the log. Raises LogError for a damaged file, StoreError."""
-        return self._tags.read(path, fingerprint)
+        """The tags of this content of a log. Raises LogError for a damaged file, StoreError."""
+        version = self._folders.version_of(tags_path(path))
+
+        def parse() -> FileTags:
+            by_content = self._tags_by_content(path, version)
+            tags = sorted(by_content.pop(fingerprint, ()))
+            return FileTags(version, tags, sum(map(len, by_content.values())))
+
+        return self._tags.get(path, f"{version} {fingerprint}", parse)
+
+    def _tags_by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
+        if isinstance(path, Path):
+            return tags_by_content(path)
+        if self._folders.stat(tags_path(path)) is None:
+            return {}
+        self._folders.refuse_unanswered(path)
+        key = f"tags 1 {path} {version}"
+        return self._cache.struct(key, dict[str, set[Tag]], lambda: tags_by_content(path))
 
     def _card(
         self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
@@ -241,10 +272,6 @@ class SessionCards:
     def _share(self, path: Path, version: str) -> Share:
         key = f"share 1 {real_path(path)} {version}"
         return self._cache.struct(key, Share, lambda: _read_share(path))
-
-
-def frames_path(index: Path, log: Location) -> Path:
-    return index / FRAMES_FOLDER / f"{session_name(log)}.parquet"
 
 
 def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
