@@ -4,10 +4,9 @@ or by their pixels. It reports progress on stdout, and writes a file. It runs no
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import msgspec
@@ -20,7 +19,6 @@ from common.location import location
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from recorder import Log
 from recorder.log_copy_cli import brought_here
 from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
 from recorder.rows.row_quality import States
@@ -37,18 +35,6 @@ _GROUPS: Final = 24
 _NICENESS: Final = 5
 
 
-@dataclass
-class _Columns:
-    """The columns of a map, in parts."""
-
-    features: list[Floats] = field(default_factory=list)
-    log: list[NDArray[np.int64]] = field(default_factory=list)
-    row: list[NDArray[np.int64]] = field(default_factory=list)
-    steering: list[NDArray[np.float64]] = field(default_factory=list)
-    predicted: list[NDArray[np.float64]] = field(default_factory=list)
-    odd: list[NDArray[np.int64]] = field(default_factory=list)
-
-
 def main() -> None:
     run_in_process(_work, _NICENESS)
 
@@ -56,22 +42,23 @@ def main() -> None:
 def _work(max_points: str, run: str, *words: str) -> None:
     *pairs, result = words
     logs = list(zip(pairs[::2], pairs[1::2], strict=True))
-    _make(logs, Path(run) if run else None, int(max_points), Path(result))
-
-
-def _make(logs: Sequence[tuple[str, str]], run: Path | None, max_points: int, result: Path) -> None:
     notes: list[str] = []
-    columns = _Columns()
-    reader = _FeatureReader(run)
-    total = sum(_pictures(log) for _, log in logs)
-    step = max(1, -(-total // max_points))
+    parts: list[dict[str, NDArray[Any]]] = []  # of the columns
     angles = set()
+    reader = _FeatureReader(Path(run) if run else None)
+    total = sum(_pictures(log) for _, log in logs)
+    step = max(1, -(-total // int(max_points)))
+    shown = 0
     for number, (fingerprint, log) in enumerate(logs):
-        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (path,):
-            angles.add(_look(path, number, fingerprint, step, reader, columns, total))
-    if not columns.row:
+        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (path,), LogCrops(path) as crops:
+            for part in _parts(crops, fingerprint, step, reader):
+                parts.append({**part, "log": np.full(len(part["row"]), number)})
+                shown += len(part["row"])
+                report(pictures=step * shown, total=total)
+            angles.add(crops.max_steering_deg)
+    if not parts:
         raise WebError("; ".join(notes) or "no picture of the centre camera in these logs")
-    features = np.concatenate(columns.features)
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     rounds = 0
 
     def on_round() -> None:
@@ -79,22 +66,20 @@ def _make(logs: Sequence[tuple[str, str]], run: Path | None, max_points: int, re
         rounds += 1
         report(stage="laid out", pictures=rounds, total=ROUNDS)
 
-    laid_out = neighbour_map(features, on_round)
+    laid_out = neighbour_map(columns.pop("features"), on_round)
     place = laid_out.place
     group = groups(place, _GROUPS)
     max_deg = angles.pop() if len(angles) == 1 else None
     about = MapAbout(step, list(ODD_KINDS), _middles(place, group), max_deg, notes)
     write_result(
-        result,
+        Path(result),
         x=place[:, 0],
         y=place[:, 1],
         nearest=laid_out.nearest,
         alone=laid_out.alone,
         group=group,
         about=np.frombuffer(msgspec.json.encode(about), np.uint8),
-        **{
-            name: np.concatenate(getattr(columns, name)) for name in ("log", "row", "steering", "predicted", "odd")
-        },
+        **columns,
     )
 
 
@@ -146,32 +131,29 @@ class _FeatureReader:
         return features.numpy(), steering_in(answers.numpy().astype(np.float64))
 
 
-def _look(
-    path: Path, number: int, fingerprint: str, step: int, reader: _FeatureReader, columns: _Columns, total: int
-) -> float | None:
-    """Add the pictures of a log to the columns. Return the angle of its car's wheels at steering 1."""
-    with Log(path) as log:
-        odd = odd_stretches(States.of(log.vehicle()))
-    kinds = list(ODD_KINDS)
-    with LogCrops(path) as crops:
-        if crops.log.fingerprint != fingerprint:
-            raise WebError(f"{path.name}: the log has changed: reload this page, or bring the index up to date")
-        for numbers, pictures in crops.batches(_BATCH, reader.spec, step):
-            if not len(numbers):
-                continue
-            features, predicted = reader.features(pictures)
-            rows = crops.row[numbers]
-            kind = np.full(len(rows), -1)
-            for stretch in reversed(odd):
-                kind[(rows >= stretch.first_row) & (rows <= stretch.last_row)] = kinds.index(stretch.kind)
-            columns.features.append(features)
-            columns.log.append(np.full(len(rows), number))
-            columns.row.append(rows)
-            columns.steering.append(crops.recorded[numbers])
-            columns.predicted.append(predicted)
-            columns.odd.append(kind)
-            report(pictures=step * sum(map(len, columns.row)), total=total)
-        return crops.max_steering_deg
+def _parts(
+    crops: LogCrops, fingerprint: str, step: int, reader: _FeatureReader
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """The features and the columns of every `step`-th picture of a log, in batches."""
+    odd, kinds = odd_stretches(States.of(crops.log.vehicle())), list(ODD_KINDS)
+    if crops.log.fingerprint != fingerprint:
+        name = crops.log.path.name
+        raise WebError(f"{name}: the log has changed: reload this page, or bring the index up to date")
+    for numbers, pictures in crops.batches(_BATCH, reader.spec, step):
+        if not len(numbers):
+            continue
+        features, predicted = reader.features(pictures)
+        row = crops.row[numbers]
+        kind = np.full(len(row), -1)
+        for stretch in reversed(odd):
+            kind[(row >= stretch.first_row) & (row <= stretch.last_row)] = kinds.index(stretch.kind)
+        yield {
+            "features": features,
+            "row": row,
+            "steering": crops.recorded[numbers],
+            "predicted": predicted,
+            "odd": kind,
+        }
 
 
 def _middles(place: Floats, group: NDArray[np.int32]) -> list[int]:

@@ -14,7 +14,6 @@ import numpy as np
 
 from common.errors import printable
 from common.location import location
-from model.evaluation.log_predictions import LogPredictions
 from model.evaluation.predict import BATCH
 from model.evaluation.predict_log import predict_log
 from model.metrics import measure
@@ -33,14 +32,6 @@ def main() -> None:
 
 
 def _work(log: str, run: str, fingerprint: str, result: str) -> None:
-    with brought_here([location(log)]) as (path,):
-        predictions = _predict(path, Path(run))
-    if predictions.about["log_fingerprint"] != fingerprint:
-        raise WebError("the log has been replaced since this page was opened: reload it")
-    _write(predictions, Path(result))
-
-
-def _predict(log: Path, run: Path) -> LogPredictions:
     pictures = 0
 
     def on_batch() -> None:
@@ -48,12 +39,11 @@ def _predict(log: Path, run: Path) -> LogPredictions:
         pictures += BATCH
         report(pictures=pictures)
 
-    return predict_log(log, [run], on_batch=on_batch)
-
-
-def _write(predictions: LogPredictions, result: Path) -> None:
-    (run,) = predictions.predicted
-    predicted = predictions.predicted[run]
+    with brought_here([location(log)]) as (path,):
+        predictions = predict_log(path, [Path(run)], on_batch=on_batch)
+    if predictions.about["log_fingerprint"] != fingerprint:
+        raise WebError("the log has been replaced since this page was opened: reload it")
+    [(name, predicted)] = predictions.predicted.items()
     is_recorded = np.isfinite(predictions.recorded)
     measured = measure(predicted[is_recorded], predictions.recorded[is_recorded], max_deg=predictions.max_deg)
     about = Measured(
@@ -63,9 +53,9 @@ def _write(predictions: LogPredictions, result: Path) -> None:
         max_deg=predictions.max_deg,
         worst=[
             WorstMoment(worst.row, worst.error_deg, worst.predicted_deg, worst.recorded_deg)
-            for worst in predictions.worst(run, _WORST)
+            for worst in predictions.worst(name, _WORST)
         ],
         notes=[printable(line) for line in (*predictions.skipped.lines(), predictions.notice) if line],
     )
     encoded = np.frombuffer(msgspec.json.encode(about), np.uint8)
-    write_result(result, row=predictions.row, predicted=predicted, about=encoded)
+    write_result(Path(result), row=predictions.row, predicted=predicted, about=encoded)
