@@ -35,7 +35,7 @@ def course_columns(log: Log, rows: NDArray[np.int64]) -> Values:
         if log.counts.get(topic):
             table = log.numbers(topic, fields)
             values = np.stack([table[name].to_numpy() for name in fields])
-            columns[at : at + len(fields)] = _at_rows(table["row"].to_numpy(), values, rows)
+            columns[at : at + len(fields)] = at_rows(table["row"].to_numpy(), values, rows)
     is_place = (np.abs(columns[4:]) < _FARTHEST_M).all(axis=0)  # False for NaN
     columns[4:, ~is_place] = np.nan
     return columns
@@ -48,8 +48,10 @@ def road_of(log: Log) -> dict[str, Any] | None:
     return road_named(name, log.metadata.get("track_fingerprint", "")) if is_placed else None
 
 
-def _at_rows(row: NDArray[np.int64], values: Values, rows: NDArray[np.int64]) -> Values:
-    """The values (K, M) of messages with these row numbers (M,) at `rows` (N,): (K, N)."""
+def at_rows(row: NDArray[np.int64], values: Values, rows: NDArray[np.int64]) -> Values:
+    """The values (..., M) with these row numbers (M,) at `rows` (N,): (..., N); NaN for rows without a value."""
+    if not len(row):
+        return np.full((*values.shape[:-1], len(rows)), np.nan)
     order = np.argsort(row, kind="stable")
     place = np.minimum(np.searchsorted(row[order], rows), len(order) - 1)
-    return np.where(row[order][place] == rows, values[:, order[place]], np.nan)
+    return np.where(row[order][place] == rows, values[..., order[place]], np.nan)

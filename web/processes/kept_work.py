@@ -33,6 +33,7 @@ from web.processes.own_process import reports, start_process
 Result = TypeVar("Result")
 
 _KEY: Final = re.compile(r"[0-9a-f]{64}")
+_SHOWN: Final = ("is_begun", "stage", "pictures", "total", "left_s", "problem")  # of a work, on its page
 
 
 @dataclass
@@ -63,17 +64,6 @@ class Work:
             picture_s = (now_s - self._first[1]) / (self.pictures - self._first[0])
             self.left_s = picture_s * (self.total - self.pictures)
 
-    @property
-    def progress(self) -> dict[str, object]:
-        """The progress as pages show it."""
-        return {
-            "is_begun": self.is_begun,
-            "stage": self.stage,
-            "pictures": self.pictures,
-            "total": self.total,
-            "left_s": self.left_s,
-        }
-
 
 class KeptWork:
     """The works of one kind: kept, running and waiting. The folder may be deleted at any time."""
@@ -87,8 +77,7 @@ class KeptWork:
         self._pool = ThreadPoolExecutor(1, f"work in {folder.name}")
         self._lock = threading.Lock()
         self._requested: dict[str, Work] = {}
-        self._process: subprocess.Popen[bytes] | None = None
-        self._running: Work | None = None  # by that process
+        self._running: tuple[Work, subprocess.Popen[bytes]] | None = None
         self._is_closed = False
 
     def path(self, key: str) -> Path:
@@ -137,9 +126,10 @@ class KeptWork:
         state: dict[str, object] = {"key": key, "about": None, "problem": ""}
         if (work := self.requested(key)) is None:
             return state
-        is_lost = was_done and work is before and not work.problem
-        problem = "the result could not be saved: the cache folder may be full" if is_lost else work.problem
-        return {**state, **work.progress, "problem": problem}
+        state |= {name: getattr(work, name) for name in _SHOWN}
+        if was_done and work is before and not work.problem:
+            state["problem"] = "the result could not be saved: the cache folder may be full"
+        return state
 
     def stop(self, key: str) -> None:
         """Stop a work for all pages, unless it is done, or was never requested."""
@@ -149,14 +139,14 @@ class KeptWork:
                 return
             work.is_stopped = True
             work.problem = work.problem or self._stopped
-            if self._running is work and self._process is not None:
-                self._process.kill()
+            if self._running is not None and self._running[0] is work:
+                self._running[1].kill()
 
     def close(self) -> None:
         self._is_closed = True
         with self._lock:
-            if self._process is not None:
-                self._process.kill()
+            if self._running is not None:
+                self._running[1].kill()
         self._pool.shutdown(cancel_futures=True)
 
     def _run(self, work: Work, words: list[str]) -> None:
@@ -168,7 +158,7 @@ class KeptWork:
             work.problem = f"the process does not start: {error.strerror}"
         finally:
             with self._lock:
-                self._process = self._running = None
+                self._running = None
             work.is_done = True
 
     def _run_in(self, temporary: str, work: Work, words: list[str]) -> None:
@@ -176,8 +166,8 @@ class KeptWork:
             if self._is_closed or work.is_stopped:
                 return
             work.is_begun = True
-            self._running = work
-            self._process = process = start_process(self._module, words, temporary)
+            process = start_process(self._module, words, temporary)
+            self._running = work, process
         with process:
             for message in reports(process):
                 _update(work, message)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from common.location import Location
 from web.folders.project_folders import as_word
+from web.logs.drive_course import at_rows
 from web.processes.kept_work import KeptWork, run_fingerprint
 
 _FORMAT: Final = 1  # of the kept files
@@ -47,13 +48,7 @@ class Predicted:
 
     def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """The steering at rows (M,) of the log; NaN for a row without a picture."""
-        steering = np.full(len(rows), np.nan)
-        if len(self.row):
-            order = np.argsort(self.row, kind="stable")
-            places = np.minimum(np.searchsorted(self.row[order], rows), len(order) - 1)
-            has_picture = self.row[order][places] == rows
-            steering[has_picture] = self.steering[order][places[has_picture]]
-        return steering
+        return at_rows(self.row, self.steering, rows)
 
 
 class Predictions:
