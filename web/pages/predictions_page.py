@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
-from common.location import Location
 from recorder.topics import camera_topic
 from web.errors import WebError
 from web.folders.project_folders import Place, is_recording
-from web.logs.open_logs import OpenLog
 from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
 from web.runs.run_networks import NETWORK_FILES, check_network
@@ -24,11 +20,30 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         """The state of a prediction. POST starts the work, unless it is done."""
         path = bench.folders.log(place, request.path_params["log"])
         run = bench.folders.run(request.path_params["run"])
-        log = request.query_params.get("log", "")  # the fingerprint of what the page shows
         if is_recording(path):
             raise WebError("this log is being recorded: wait until the recording has ended", 409)
         with bench.logs.open(path) as opened:
-            return JSONResponse(_state(bench, path, opened, log, run, is_start=request.method == "POST"))
+            fingerprint = opened.log.fingerprint
+            if fingerprint != request.query_params.get("log", ""):
+                raise WebError(
+                    "the log has changed since this page was opened: choose the run again, or reload the page", 409
+                )
+            bench.folders.bring_run(run, NETWORK_FILES)
+            key = bench.predictions.key(fingerprint, run)
+
+            def about() -> Measured | None:
+                predicted = bench.predictions.find(key)
+                return predicted.about if predicted else None
+
+            def start() -> None:
+                check_network(run, path, bench.folders.run_place(run))
+                pictures = len(opened.log.pictures(camera_topic("center")).sequence)
+                if not pictures:
+                    raise WebError("this log has no picture of the centre camera, which the network needs", 422)
+                bench.predictions.start(key, path, fingerprint, run, pictures)
+
+            state = bench.predictions.work.state(key, about, start if request.method == "POST" else None)
+        return JSONResponse({"name": printable(run.name), **state})
 
     def stop(request: Request) -> Response:
         """Stop the prediction of a run for a log, for all pages that wait for it."""
@@ -53,28 +68,3 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/{{run}}/stop", stop, methods=["POST"]),
         Route(f"{at}/rows/{{key}}", column),
     ]
-
-
-def _state(
-    bench: Workbench, path: Location, opened: OpenLog, log: str, run: Path, *, is_start: bool
-) -> dict[str, object]:
-    fingerprint = opened.log.fingerprint
-    if fingerprint != log:
-        raise WebError(
-            "the log has changed since this page was opened: choose the run again, or reload the page", 409
-        )
-    bench.folders.bring_run(run, NETWORK_FILES)
-    key = bench.predictions.key(fingerprint, run)
-
-    def about() -> Measured | None:
-        predicted = bench.predictions.find(key)
-        return predicted.about if predicted else None
-
-    def start() -> None:
-        check_network(run, path, bench.folders.run_place(run))
-        pictures = len(opened.log.pictures(camera_topic("center")).sequence)
-        if not pictures:
-            raise WebError("this log has no picture of the centre camera, which the network needs", 422)
-        bench.predictions.start(key, path, fingerprint, run, pictures)
-
-    return {"name": printable(run.name)} | bench.predictions.work.state(key, about, start if is_start else None)
