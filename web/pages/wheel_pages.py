@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,22 +71,68 @@ def wheel_routes(bench: Workbench) -> list[Route]:
 
     def train(request: Request) -> Response:
         """Train a network on a session, or on the takeovers of a drive."""
-        place, ended = _place(request), _ended_drive(bench, request)
+        place, key, ended = _ended_drive(request)
         if ended is None:
             raise WebError("nothing was recorded, so there is nothing to train on", 404)
         words, run = training(place, ended.log, bench.folders)
         bench.jobs.start(words, f"/runs/{key_of(Path(run))}")
-        return RedirectResponse(_after(place, request.path_params["log"]), status_code=303)
+        return RedirectResponse(_after(place, key), status_code=303)
 
-    ended = partial(_ended, bench)
+    def _ended(request: Request) -> dict[str, Any]:
+        """The log of an ended drive, and the next steps."""
+        place, key, ended = _ended_drive(request)
+        context: dict[str, Any] = {"at": _after(place, key), "name": key, "log": ""}
+        if ended is None:
+            return context
+        context |= {
+            "name": printable(session_name(ended.log)),
+            "log": f"/{place}/{key_of(ended.log)}",
+            "is_growing": ended.is_growing,
+            "is_whole": ended.is_whole,
+        }
+        if ended.is_growing:
+            return context
+        with bench.logs.open(ended.log) as opened:
+            metadata = opened.log.metadata
+            states = opened.states
+            length_s = float(states.time_ns[-1] - states.time_ns[0]) / 1e9 if len(states.row) else 0.0
+            taken = takeovers(opened.log)
+            is_ours = place == "drives" or metadata.get("track") or opened.log.read_metadata(PERSON_METADATA)
+            rows = len(states.row)
+        runs = bench.folders.run_folders()
+        drove = key_of(Path(metadata["run"])) if metadata.get("run") else ""
+        name = session_name(ended.log)
+        job = next((job for job in bench.jobs.all() if is_training_on(job, ended.log)), None)
+        learnt = [(key, printable(run.name)) for key, run in runs.items() if name in origin_of(run).sessions]
+        return context | {
+            "rows": rows,
+            "length_s": length_s,
+            "taken": taken,
+            "drove": drove if drove in runs else "",
+            "is_ours": is_ours,  # not imported, so one can drive on from its end
+            "is_supervised": place == "drives",
+            "job": job,
+            "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,
+            "learnt": [] if job and job.is_running else learnt,
+            "like": f"{place}/{key}",
+        }
+
+    def _ended_drive(request: Request) -> tuple[Place, str, EndedDrive | None]:
+        """The folder and the key of a drive's log, and the log, if there is one."""
+        place = next((place for place in PLACES if place == request.path_params["place"]), None)
+        if place is None:
+            raise WebError("no such folder of logs", 404)
+        key = request.path_params["log"]
+        return place, key, ended_drive(place, key, bench.folders)
+
     at = "/wheel/after/{place}/{log}"
     return [
         Route("/wheel", whole),
         Route("/wheel", on_form(start), methods=["POST"]),
         Route("/wheel.rows", rows),
         Route("/wheel/begin/{job}", begin),
-        Route(at, page_of("wheel_after.html", ended)),
-        Route(f"{at}/body", page_of("wheel_after_body.html", ended)),
+        Route(at, page_of("wheel_after.html", _ended)),
+        Route(f"{at}/body", page_of("wheel_after_body.html", _ended)),
         Route(f"{at}/train", train, methods=["POST"]),
         Route("/wheel/{key}", drive),
     ]
@@ -103,54 +148,3 @@ def _address(made: str, folders: ProjectFolders) -> str:
         if (place := place_of(wheel, folders)) and _after(*place) == made:
             return f"/wheel/{wheel.key}"
     return ""
-
-
-def _place(request: Request) -> Place:
-    for place in PLACES:
-        if place == request.path_params["place"]:
-            return place
-    raise WebError("no such folder of logs", 404)
-
-
-def _ended_drive(bench: Workbench, request: Request) -> EndedDrive | None:
-    return ended_drive(_place(request), request.path_params["log"], bench.folders)
-
-
-def _ended(bench: Workbench, request: Request) -> dict[str, Any]:
-    """The log of an ended drive, and the next steps."""
-    place, key = _place(request), request.path_params["log"]
-    context: dict[str, Any] = {"at": _after(place, key), "name": key, "log": ""}
-    if (ended := _ended_drive(bench, request)) is None:
-        return context
-    context |= {
-        "name": printable(session_name(ended.log)),
-        "log": f"/{place}/{key_of(ended.log)}",
-        "is_growing": ended.is_growing,
-        "is_whole": ended.is_whole,
-    }
-    if ended.is_growing:
-        return context
-    with bench.logs.open(ended.log) as opened:
-        metadata = opened.log.metadata
-        states = opened.states
-        length_s = float(states.time_ns[-1] - states.time_ns[0]) / 1e9 if len(states.row) else 0.0
-        taken = takeovers(opened.log)
-        is_ours = place == "drives" or metadata.get("track") or opened.log.read_metadata(PERSON_METADATA)
-        rows = len(states.row)
-    runs = bench.folders.run_folders()
-    drove = key_of(Path(metadata["run"])) if metadata.get("run") else ""
-    name = session_name(ended.log)
-    job = next((job for job in bench.jobs.all() if is_training_on(job, ended.log)), None)
-    learnt = [(key, printable(run.name)) for key, run in runs.items() if name in origin_of(run).sessions]
-    return context | {
-        "rows": rows,
-        "length_s": length_s,
-        "taken": taken,
-        "drove": drove if drove in runs else "",
-        "is_ours": is_ours,  # not imported, so one can drive on from its end
-        "is_supervised": place == "drives",
-        "job": job,
-        "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,
-        "learnt": [] if job and job.is_running else learnt,
-        "like": f"{place}/{key}",
-    }
