@@ -20,14 +20,9 @@ AGAIN_S: Final = 10.0
 """Time after which a store that did not answer is tried again."""
 
 
-class _Made(NamedTuple, Generic[Result]):
-    result: Result | UserError
-    at_s: float
-
-
 class _Task(NamedTuple, Generic[Result]):
     version: str
-    future: Future[_Made[Result]]
+    future: Future[tuple[Result | UserError, float]]  # and the time when it was made
 
     def is_for(self, version: str) -> bool:
         """Whether the task is for `version`. If a store did not answer, it counts for `AGAIN_S` only."""
@@ -35,8 +30,8 @@ class _Task(NamedTuple, Generic[Result]):
             return False
         if not self.future.done() or self.future.cancelled():
             return True
-        made = self.future.result()
-        return not isinstance(made.result, StoreError) or time.monotonic() < made.at_s + AGAIN_S
+        result, at_s = self.future.result()
+        return not isinstance(result, StoreError) or time.monotonic() < at_s + AGAIN_S
 
 
 class Background(Generic[Place, Result]):
@@ -71,20 +66,18 @@ class Background(Generic[Place, Result]):
         wait(futures.values(), patience_s)
         # another request cancels a task if it finds a newer version
         finished = ((path, future) for path, future in futures.items() if future.done() and not future.cancelled())
-        return {path: future.result().result for path, future in finished}
+        return {path: future.result()[0] for path, future in finished}
 
-    def _run(self, path: Place, version: str) -> _Made[Result]:
-        result = self._result(path, version)
+    def _run(self, path: Place, version: str) -> tuple[Result | UserError, float]:
+        result: Result | UserError
+        try:
+            result = self._make(path, version)
+        except UserError as error:
+            result = error
+        except OSError as error:  # deleted meanwhile, or not readable
+            result = UserError(f"{path}: {error.strerror or error}")
+        except Exception as error:  # a bug must not hide the other logs
+            result = UserError(f"{path}: {report_bug(error)}")
         with self._lock:
             self.done += 1
-        return _Made(result, time.monotonic())
-
-    def _result(self, path: Place, version: str) -> Result | UserError:
-        try:
-            return self._make(path, version)
-        except UserError as error:
-            return error
-        except OSError as error:  # deleted meanwhile, or not readable
-            return UserError(f"{path}: {error.strerror or error}")
-        except Exception as error:  # a bug must not hide the other logs
-            return UserError(f"{path}: {report_bug(error)}")
+        return result, time.monotonic()
