@@ -14,13 +14,14 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
+from model.runs.run_config import load_config
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
 from web.pages.changes import runs_version
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard
 from web.runs.run_colours import COLOURS, run_colours
 from web.runs.run_curves import Line, run_curves
-from web.runs.run_settings import differing, run_settings
+from web.runs.run_settings import differing, settings_of
 from web.server.templates import page, page_of
 
 PATIENCE_S: Final = 1.0
@@ -89,7 +90,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
         chosen = _chosen(RunQuery.parse(request.query_params))
         for _, path in chosen:
             try:
-                settings.append(run_settings(path))
+                settings.append(settings_of(load_config(path)))
             except UserError as error:
                 problems.append(printable(str(error)))
             else:

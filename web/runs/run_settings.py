@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 from common.errors import printable
-from model.runs.run_config import load_config
 
 _SHOWN: Final = (
     "network",
@@ -26,14 +24,8 @@ _MAX_CHARACTERS: Final = 400  # of a value
 _DEEPEST: Final = 4
 
 
-def run_settings(run: Path) -> dict[str, str]:
-    """The settings of the training and its data in a run's config.json, by dotted name. Raises RunError if it is
-    unreadable."""
-    return settings_of(load_config(run))
-
-
 def settings_of(config: Mapping[str, Any]) -> dict[str, str]:
-    """`run_settings` of a config."""
+    """The settings of the training and its data in a run's config, by dotted name."""
     config = dict(config)
     data = config.get("data")
     if isinstance(data, dict):
