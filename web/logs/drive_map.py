@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from typing import Final, Literal
+from typing import Final
 
 from web.logs.drive_view import CarPlace, DriveEvent, DriveView
 
-By = Literal["drive", "speed", "error", "driver"]
-WAYS: Final[dict[str, By]] = {"drive": "drive", "speed": "speed", "error": "error", "who drove": "driver"}
+WAYS: Final = ("drive", "speed", "error", "who drove")
+"""What the colours of a path can show."""
 DRIVERS: Final = {0: "unknown", 1: "pilot", 2: "human", 3: "expert", 4: "brake"}
 STEPS: Final = 6  # classes of speeds and errors, from zero to the largest
 MAX_ERROR_DEG: Final = 12.0  # of steering; larger errors are in the last class, too
@@ -41,8 +41,8 @@ class DriveMap:
     fastest_mph: float
 
 
-def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: By) -> DriveMap | None:
-    """The map of drives, with a colour for each; None if no drive has poses."""
+def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: str) -> DriveMap | None:
+    """The map of drives, with a colour for each, by one of `WAYS`; None if no drive has poses."""
     points = [(x, -y) for drive in drives for _, x, y, *_ in drive.path]
     if not points:
         return None
@@ -56,7 +56,7 @@ def drive_map(drives: Sequence[DriveView], colours: Sequence[int], by: By) -> Dr
     return DriveMap(box, size, strokes, [_places(drive) for drive in drives], fastest)
 
 
-def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stroke]:
+def _strokes(drive: DriveView, colour: int, by: str, fastest: float) -> list[Stroke]:
     """The parts of a path with one colour each. A part begins where the one before it ends."""
 
     def style(place: CarPlace) -> str:
@@ -64,7 +64,7 @@ def _strokes(drive: DriveView, colour: int, by: By, fastest: float) -> list[Stro
             return f"step-{_step(place.mph, fastest)}"
         if by == "error":
             return "step-none" if place.error_deg is None else f"step-{_step(place.error_deg, MAX_ERROR_DEG)}"
-        return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "driver" else f"drive-{colour}"
+        return f"by-{DRIVERS.get(place.driver, 'unknown')}" if by == "who drove" else f"drive-{colour}"
 
     strokes = []
     for name, part in groupby(pairwise(drive.path), key=lambda pair: style(pair[0])):

@@ -56,7 +56,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
         by_key = {drive["card"].key: drive for drive in drives}
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
         colours = _colours(on_map)
-        map_of_drives = drive_map([drive["view"] for drive in on_map], colours, WAYS[by])
+        map_of_drives = drive_map([drive["view"] for drive in on_map], colours, by)
         if on_map and map_of_drives is None:
             problems.append("these drives have no poses: their simulator does not report the car's place")
         return {
@@ -68,7 +68,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
             "max_error_deg": MAX_ERROR_DEG,
             "reading": sum(not (drive["view"] or drive["problem"]) for drive in drives),
             "by": by,
-            "ways": list(WAYS),
+            "ways": WAYS,
             "problems": problems,
             "folder": printable(str(bench.folders.drives)),
         }
