@@ -21,7 +21,7 @@ from common.locks import is_being_written
 from dataset.index.build_state import Stat, stat_of
 from model.runs.run_files import CONFIG
 from recorder.log.logs_in_folder import logs_in
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
 from web.folders.stored_folders import StoredCopy, StoreListings
 from web.folders.stored_runs import StoredRuns
@@ -196,11 +196,9 @@ class ProjectFolders:
     def run(self, key: str) -> Path:
         """The run of a key. Raises WebError if it does not exist (any more)."""
         path = self.run_folders().get(key)
-        if path is None:
-            if self.runs_problem:
-                raise WebError(self.runs_problem, 503)
-            raise WebError(f"{self.runs}: no run {key!r} in it; it may have been deleted, renamed or moved", 404)
-        return path
+        if path is None and self.runs_problem:
+            raise WebError(self.runs_problem, 503)
+        return or_404(path, f"{self.runs}: no run {key!r} in it; it may have been deleted, renamed or moved")
 
     def run_place(self, run: Path) -> Location:
         """The original location of a run; `run` may be a copy."""

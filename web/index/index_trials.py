@@ -10,7 +10,7 @@ from typing import Final
 
 from common.untrusted import real_path
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
-from web.errors import WebError
+from web.errors import or_404
 
 _KEPT: Final = 4
 
@@ -34,10 +34,8 @@ class IndexTrials:
 
     def get(self, key: str) -> Path:
         """The folder of a trial. Raises WebError if it does not exist (any more)."""
-        path = self._trials().get(key)
-        if path is None:
-            raise WebError(f"no trial {key!r}: only the newest {_KEPT} are kept; try the settings again", 404)
-        return real_path(path)
+        reason = f"no trial {key!r}: only the newest {_KEPT} are kept; try the settings again"
+        return real_path(or_404(self._trials().get(key), reason))
 
     def _trials(self) -> dict[str, Path]:
         try:

@@ -17,7 +17,7 @@ from dataset.config import IndexConfig
 from model.config import Answers, Light, TrainConfig
 from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import ProjectFolders, key_of, shown_name
 
 MAX_CHARACTERS: Final = 1000  # of a value
@@ -318,7 +318,4 @@ FORMS: Final[Sequence[JobForm]] = (
 
 def form_of(name: str) -> JobForm:
     """Raises WebError if there is no such form."""
-    for form in FORMS:
-        if form.name == name:
-            return form
-    raise WebError(f"{name!r}: no job has this name", 404)
+    return or_404(next((form for form in FORMS if form.name == name), None), f"{name!r}: no job has this name")

@@ -31,7 +31,7 @@ from common.errors import printable
 from common.locks import is_being_written
 from common.untrusted import real_path
 from common.untrusted_json import json_as
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.file_versions import version_of
 from web.jobs.job_forms import FORMS
 from web.jobs.job_runner import ABOUT, EXIT, LOCK, OUTPUT, READY
@@ -161,10 +161,8 @@ class Jobs:
 
     def get(self, key: str) -> Job:
         """The job of a key. Raises WebError if it does not exist (any more)."""
-        for job in self._read():
-            if job.key == key:
-                return job
-        raise WebError(f"no job {key!r}: only the newest {_KEPT} are kept, in the cache folder", 404)
+        job = next((job for job in self._read() if job.key == key), None)
+        return or_404(job, f"no job {key!r}: only the newest {_KEPT} are kept, in the cache folder")
 
     def version(self) -> str:
         """A text that changes when a job starts, prints or ends."""

@@ -15,7 +15,7 @@ from common.files import final_name
 from common.location import Location
 from common.untrusted import whole_number
 from recorder.upkeep.recover import recovered_name
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import ProjectFolders, is_recording
 
 _SUFFIX: Final = ".mcap"
@@ -58,9 +58,8 @@ class LogJob:
         if self.has_others and not form.others:
             raise WebError("choose at least one other log to merge it with", 422)
         for key in form.others if self.has_others else ():
-            if key not in logs:
-                raise WebError(f"no log {key!r} next to this one; it may have been deleted, renamed or moved", 404)
-            words.append(str(logs[key]))
+            reason = f"no log {key!r} next to this one; it may have been deleted, renamed or moved"
+            words.append(str(or_404(logs.get(key), reason)))
         return [*words, f"--to={new}"] if self.made and self.is_named else words
 
 
@@ -103,10 +102,8 @@ def jobs_for(log: Location) -> list[LogJob]:
 
 def log_job(name: str) -> LogJob:
     """The job of a name. Raises WebError if there is none."""
-    for job in LOG_JOBS:
-        if job.name == name:
-            return job
-    raise WebError(f"{name!r}: no job on a log has this name", 404)
+    job = next((job for job in LOG_JOBS if job.name == name), None)
+    return or_404(job, f"{name!r}: no job on a log has this name")
 
 
 def command_line(

@@ -20,7 +20,7 @@ from recorder.errors import RecordingError
 from recorder.log.road_places import last_place_m
 from recorder.sources.frame_rate import check_row_rate
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
 from web.jobs.job_forms import as_argument, form_of, in_one_field
 from web.jobs.jobs import Job
@@ -160,12 +160,9 @@ def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:
 
 def running(key: str) -> OpenWheel:
     """The drive of that key. Raises WebError if it does not run (any more)."""
-    for wheel in open_wheels(Path.cwd()):
-        if wheel.key == key:
-            return wheel
-    raise WebError(
-        f"no drive {key!r} is running: it has ended, or its process was killed; its recording is kept", 404
-    )
+    wheel = next((wheel for wheel in open_wheels(Path.cwd()) if wheel.key == key), None)
+    reason = f"no drive {key!r} is running: it has ended, or its process was killed; its recording is kept"
+    return or_404(wheel, reason)
 
 
 def place_of(wheel: OpenWheel, folders: ProjectFolders) -> tuple[Place, str] | None:
@@ -240,9 +237,8 @@ def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[s
     """The form's values of an earlier drive, as far as its log has them. With `goes_on`, also the next name, and
     the place where the drive ended."""
     folder, _, key = like.partition("/")
-    ended = next((ended_drive(place, key, folders) for place in PLACES if place == folder), None)
-    if ended is None:
-        raise WebError("the drive to continue from no longer exists", 404)
+    earlier = next((ended_drive(place, key, folders) for place in PLACES if place == folder), None)
+    ended = or_404(earlier, "the drive to continue from no longer exists")
     with Log(ended.log) as log:
         track, rate = log.metadata.get("track", ""), log.metadata.get("drive.rate", "")
         hold_mph = log.read_metadata(topics.PERSON_METADATA).get("hold_mph", "")

@@ -19,7 +19,7 @@ from recorder.log.tags import tags_path
 from recorder.sources.find_recording import folders_in, recordings_in
 from recorder.sources.import_mcap import is_own_log
 from recorder.sources.recording_summary import summarize_recording
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
@@ -124,10 +124,9 @@ def import_routes(bench: Workbench) -> list[Route]:
 
     def _upload(request: Request) -> Path:
         name = request.path_params["name"]
-        path = uploads_in(folder).get(name)
-        if path is None:
-            raise WebError(f"{folder}: no upload {name!r} in it; it may have been removed", 404)
-        return path
+        return or_404(
+            uploads_in(folder).get(name), f"{folder}: no upload {name!r} in it; it may have been removed"
+        )
 
     return [
         Route("/import", whole),

@@ -19,7 +19,7 @@ from common.untrusted import whole_number
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.file_versions import version_of
 from web.folders.project_folders import key_of
 from web.index.altered_samples import AlteredSamples, altered_samples
@@ -95,10 +95,9 @@ def index_routes(bench: Workbench) -> list[Route]:
     def session_of(request: Request) -> tuple[Path, str]:
         """The index, and the name of a session that it lists."""
         folder, key = folder_of(request), request.path_params["session"]
-        for session in view_index(folder).counts:
-            if key_of(Path(session)) == key and "/" not in session and "\\" not in session:
-                return folder, session
-        raise WebError(f"{folder}: no session {key!r} in it", 404)
+        names = (name for name in view_index(folder).counts if "/" not in name and "\\" not in name)
+        session = next((name for name in names if key_of(Path(name)) == key), None)
+        return folder, or_404(session, f"{folder}: no session {key!r} in it")
 
     def session_bins(request: Request) -> Response:
         return _svg(session_bins_sketch(*session_of(request)))

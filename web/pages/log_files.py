@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, get_args
+from typing import Final
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -14,7 +14,7 @@ from common.files import session_name
 from common.location import Location, absolute
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import Place, key_of
 from web.index.index_view import bins_of_index
 from web.logs.film_strip import film_strip
@@ -108,10 +108,8 @@ def _picture(request: Request, opened: OpenLog, camera: Camera) -> bytes:
 
 def _camera_of(request: Request) -> Camera:
     name = request.path_params["camera"]
-    for camera in CAMERAS:
-        if camera == name:
-            return camera
-    raise WebError(f"{name}: no such camera; expected {', '.join(get_args(Camera))}", 404)
+    camera = next((camera for camera in CAMERAS if camera == name), None)
+    return or_404(camera, f"{name}: no such camera; expected {', '.join(CAMERAS)}")
 
 
 def _type_of(data: bytes, row: int) -> str:

@@ -18,7 +18,7 @@ from common.files import PART_SUFFIX, session_name
 from common.location import absolute
 from dataset.index.build_state import read_state
 from model.runs.run_files import CONFIG, WEIGHTS
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
@@ -59,8 +59,7 @@ def map_routes(bench: Workbench) -> list[Route]:
     def points(request: Request) -> Response:
         """The columns of a map as float32, one after the other."""
         data = bench.maps.columns(request.query_params.get("key", ""))
-        if data is None:
-            raise WebError("this map is no longer kept: make it again", 404)
+        data = or_404(data, "this map is no longer kept: make it again")
         return Response(data, media_type="application/octet-stream")
 
     return [

@@ -8,7 +8,7 @@ from starlette.routing import Route
 
 from common.errors import printable
 from recorder.topics import camera_topic
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import Place, is_recording
 from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
@@ -56,8 +56,7 @@ def prediction_routes(bench: Workbench, place: Place) -> list[Route]:
         """The predicted steering of each row of the log, as float64; NaN for none."""
         path = bench.folders.log(place, request.path_params["log"])
         predicted = bench.predictions.find(request.path_params["key"])
-        if predicted is None:
-            raise WebError("this prediction is no longer kept: choose the run again", 404)
+        predicted = or_404(predicted, "this prediction is no longer kept: choose the run again")
         with bench.logs.open(path) as opened:
             data = predicted.at(opened.states.row).astype("<f8").tobytes()
         return Response(data, media_type="application/octet-stream")

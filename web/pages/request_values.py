@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from common.errors import printable
 from common.untrusted import whole_number
-from web.errors import WebError
+from web.errors import WebError, or_404
 
 _FORM = "application/x-www-form-urlencoded"
 _MAX_FIELDS = 2000  # a thousand logs may be merged
@@ -45,7 +45,5 @@ async def _form_values(request: Request) -> Values:
 def number_in(request: Request, part: str) -> int:
     """The number in a part of a request's address. Raises WebError for anything else."""
     text = request.path_params[part]
-    number = whole_number(text)
-    if number is None:
-        raise WebError(f"{part}: expected a number in the address, not {printable(text[:20])!r}", 404)
-    return number
+    reason = f"{part}: expected a number in the address, not {printable(text[:20])!r}"
+    return or_404(whole_number(text), reason)

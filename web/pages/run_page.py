@@ -23,7 +23,7 @@ from common.untrusted import whole_number
 from model.config import TrainConfig
 from model.runs.network_of_run import is_own_network
 from model.runs.run_config import load_config
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, ProjectFolders, as_word, key_of
 from web.jobs.job_forms import in_one_field
 from web.pages.changes import runs_version
@@ -63,9 +63,8 @@ def run_routes(bench: Workbench) -> list[Route]:
     def _context(request: Request) -> dict[str, Any]:
         key = request.path_params["run"]
         path = bench.folders.run(key)
-        card = next((card for card in bench.runs.cards(PATIENCE_S) if card.key == key), None)
-        if card is None:
-            raise WebError(f"{path}: the run was deleted or renamed", 404)
+        cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
+        card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")
         pages, config = _log_pages(bench.folders), None
         with contextlib.suppress(UserError):  # damaged, or changed meanwhile
             config = load_config(path)

@@ -13,7 +13,7 @@ from common.errors import printable
 from common.files import session_name
 from recorder.teleop.open_wheels import open_wheels
 from recorder.topics import PERSON_METADATA
-from web.errors import WebError
+from web.errors import or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
 from web.jobs.wheels import (
     DEFAULTS,
@@ -72,9 +72,8 @@ def wheel_routes(bench: Workbench) -> list[Route]:
     def train(request: Request) -> Response:
         """Train a network on a session, or on the takeovers of a drive."""
         place, key, ended = _ended_drive(request)
-        if ended is None:
-            raise WebError("nothing was recorded, so there is nothing to train on", 404)
-        words, run = training(place, ended.log, bench.folders)
+        log = or_404(ended, "nothing was recorded, so there is nothing to train on").log
+        words, run = training(place, log, bench.folders)
         bench.jobs.start(words, f"/runs/{key_of(Path(run))}")
         return RedirectResponse(_after(place, key), status_code=303)
 
@@ -119,10 +118,8 @@ def wheel_routes(bench: Workbench) -> list[Route]:
 
     def _ended_drive(request: Request) -> tuple[Place, str, EndedDrive | None]:
         """The folder and the key of a drive's log, and the log, if there is one."""
-        place = next((place for place in PLACES if place == request.path_params["place"]), None)
-        if place is None:
-            raise WebError("no such folder of logs", 404)
-        key = request.path_params["log"]
+        name, key = request.path_params["place"], request.path_params["log"]
+        place: Place = or_404(next((place for place in PLACES if place == name), None), "no such folder of logs")
         return place, key, ended_drive(place, key, bench.folders)
 
     at = "/wheel/after/{place}/{log}"

@@ -26,7 +26,7 @@ from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
 from common.location import Location, Url
 from common.versions import package_line, version_of
-from web.errors import WebError
+from web.errors import WebError, or_404
 from web.folders.cache_folder import CacheFolder
 from web.folders.project_folders import as_word
 from web.processes.own_process import reports, start_process
@@ -157,9 +157,7 @@ class RerunViewers:
         """The open log of a key. Raises WebError if it is not open (any more)."""
         with self._lock:
             viewer = self._open.get(key)
-        if viewer is None:
-            raise WebError("this log is no longer open in Rerun: open it again from its page", 404)
-        return viewer
+        return or_404(viewer, "this log is no longer open in Rerun: open it again from its page")
 
     def end(self, viewer: RerunViewer, reason: str = "") -> None:
         with self._lock:
