@@ -101,6 +101,6 @@ def test_the_button_is_the_command(tmp_path: Path) -> None:
         assert "300 frames, in 6 blocks" in shown  # 30 s
         assert f"bc-eval --compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
         assert bench.get("/runs.compare?a=a&b=b&session=none").status == 404
-        jobs = bench.get("/jobs.rows").text.count("<li id=")
+        jobs = bench.get("/jobs").text.count("<li id=")
         bench.post("/runs.compare", **asked)  # it is known
-        assert bench.get("/jobs.rows").text.count("<li id=") == jobs == 1
+        assert bench.get("/jobs").text.count("<li id=") == jobs == 1

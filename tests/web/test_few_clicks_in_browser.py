@@ -42,7 +42,7 @@ def test_two_clicks_compare_the_newest_two_runs(browser: Browser, tmp_path: Path
         page.click("text=Compare the newest two")
         page.wait_for_url("**/runs.compare?*")
         assert page.locator("h1").inner_text() == "newer and newest, on the same frames"
-        assert bench.get("/jobs.rows").text.count("<li id=") == 1
+        assert bench.get("/jobs").text.count("<li id=") == 1
 
 
 def test_three_clicks_show_why_a_drive_left_the_road(browser: Browser, tmp_path: Path) -> None:

@@ -22,10 +22,10 @@ def test_a_double_click_starts_one_job(browser: Browser, tmp_path: Path) -> None
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/jobs?start=train") as page:
         page.evaluate(twice)
         page.wait_for_url("**/jobs/*")
-        assert bench.get("/jobs.rows").text.count("<li id=") == 1
+        assert bench.get("/jobs").text.count("<li id=") == 1
         page.go_back()
         page.click("details[open] button.main")  # once more, on purpose
-        wait_until(lambda: bench.get("/jobs.rows").text.count("<li id=") == 2)
+        wait_until(lambda: bench.get("/jobs").text.count("<li id=") == 2)
 
 
 def test_values_are_still_there_on_the_way_back_from_an_error(browser: Browser, tmp_path: Path) -> None:

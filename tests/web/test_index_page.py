@@ -134,7 +134,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
     answer = bench.post("/index.try", **asked)
     assert answer.status == 303
     job = answer.headers["location"]
-    wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
+    wait_until(lambda: "running" not in bench.get(job).text)
     (address,) = re.findall(r'href="(/index\?[^"]*)"', bench.get(job).text)
     page = bench.get(html.unescape(address)).text
     assert "bins 25 now, 5 then" in plain(page)
@@ -144,7 +144,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
     hidden = dict(re.findall(r'type="hidden" name="([^"]*)" value="([^"]*)"', page))
     assert hidden == {"form": "index", **asked}
     done = bench.post("/jobs", **hidden).headers["location"]
-    wait_until(lambda: "running" not in bench.get(f"{done}/body").text)
+    wait_until(lambda: "running" not in bench.get(done).text)
     assert samples.read_bytes() != before
     assert "5 bins" in plain(bench.get("/index").text)
 

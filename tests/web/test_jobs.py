@@ -60,7 +60,7 @@ def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
     assert words == f"""bc-record 'a b'"'"'s' {flags}"""
     job = start(bench, **asked)
     assert words in text(bench, job)
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, job))
     assert "done" in text(bench, job)
     assert "a b's.mcap: " in text(bench, job)  # what the command prints
     with Log(sessions / "a b's.mcap") as log:
@@ -81,14 +81,14 @@ def test_a_field_of_several_names_takes_blanks_in_double_quotes(bench: Served) -
 
 def test_what_the_command_refuses_it_says(bench: Served) -> None:
     job = start(bench, form="record", name="x", laps="many")
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, job))
     assert "refused" in text(bench, job)
     assert "--laps" in text(bench, job)
 
 
 def test_a_job_that_failed_leads_back_to_its_form_as_it_was_filled_in(bench: Served) -> None:
     job = start(bench, form="import", name="mine", source="/nowhere at all")
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, job))
     assert "failed" in text(bench, job)
     (back,) = re.findall(r'href="([^"]*)">Back to the form', bench.get(job).text)
     form = bench.get(html.unescape(back)).text
@@ -98,7 +98,7 @@ def test_a_job_that_failed_leads_back_to_its_form_as_it_was_filled_in(bench: Ser
 
 def test_a_training_leads_to_its_run_whatever_becomes_of_it(bench: Served) -> None:
     job = start(bench, form="train", epochs="1")
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, job))
     (run,) = set(re.findall(r"--name=(\S+)", text(bench, job)))  # else nobody would know its page
     assert f'href="/runs/{run}"' in bench.get(job).text
     (exit_code,) = (bench.folder / "cache" / "jobs").glob("*/*/exit")
@@ -121,7 +121,7 @@ def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> 
     with served(tmp_path) as again:
         assert "running" in text(again, job)
         assert again.post(f"{job}/stop").status == 303
-        wait_until(lambda: "running" not in text(again, f"{job}/body"))
+        wait_until(lambda: "running" not in text(again, job))
         assert "stopped" in text(again, job)
         assert again.get("/changes").json["jobs"] != before
         assert again.post(f"{job}/stop").status == 303  # nothing more to stop
@@ -137,9 +137,9 @@ def test_a_job_whose_runner_was_killed_still_runs_and_is_stopped(bench: Served) 
     try:
         os.kill(runner, signal.SIGKILL)
         wait_until(lambda: not is_a_process(runner))
-        assert "running" in text(bench, f"{job}/body")
+        assert "running" in text(bench, job)
         assert bench.post(f"{job}/stop").status == 303
-        wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+        wait_until(lambda: "running" not in text(bench, job))
         assert not list(sessions.glob("long.mcap.*.part"))  # Ctrl-C lets a recording end as it does in a terminal
     finally:
         with contextlib.suppress(ProcessLookupError):
@@ -154,7 +154,7 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
     job = start(bench, form="demo")
     wait_until(lambda: re.search(r'class="state">recording', bench.get("/sessions.rows").text))
     assert bench.post(f"{job}/stop").status == 303
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, job))
     assert line in text(bench, job)
     assert "1 of 6" in text(bench, job)
     (bench.folder / "sessions").mkdir(exist_ok=True)
@@ -212,7 +212,7 @@ def test_only_our_own_pages_start_jobs(bench: Served) -> None:
 def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
     folder = next(iter((bench.folder / "cache").rglob("jobs")), bench.folder / "cache" / "jobs")
     job = start(bench, form="record", name="x", laps="many")
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, job))
     (stored,) = folder.glob("*/*")
     (stored / "exit").unlink()
     assert "killed, or the computer was switched off" in text(bench, job)

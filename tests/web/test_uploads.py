@@ -60,7 +60,7 @@ def test_an_upload_is_imported_as_by_the_command(bench: Served, tmp_path: Path, 
     assert "pictures that a row names but no folder has" in shown  # of the fourth row
     assert page == "/import/lake"
     job = bench.post("/jobs", **values_of(shown)).headers["location"]
-    wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
+    wait_until(lambda: "running" not in bench.get(job).text)
     command = tmp_path / "mine" / "sessions"
     assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", command) == 3
     with Log(bench.folder / "sessions" / "lake.mcap") as by_page, Log(command / "lake.mcap") as by_command:

@@ -147,7 +147,7 @@ def test_of_two_recordings_of_one_name_only_one_starts(bench: Served, page: str,
     job = f"/jobs/{begun.headers['location'].rpartition('/')[2]}"
     wait_until(lambda: list((bench.folder / "sessions").glob("mine.mcap.*.part")))
     bench.post(f"{job}/stop")
-    wait_until(lambda: "running" not in bench.get(f"{job}/body").text)
+    wait_until(lambda: "running" not in bench.get(job).text)
 
 
 def test_after_a_drive_it_can_be_trained_on_and_driven_on_from(bench: Served) -> None:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
 from web.errors import WebError
 from web.jobs.job_forms import FORMS, form_of, suggested_sessions
-from web.jobs.jobs import Job
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.server.templates import page, render
+from web.server.templates import page
 
 
 def job_routes(bench: Workbench) -> list[Route]:
@@ -29,9 +27,6 @@ def job_routes(bench: Workbench) -> list[Route]:
         opened = values.pop("start", "")
         context = {"names": names, "opened": opened, "values": values, "jobs": bench.jobs.all()}
         return page("jobs.html", live=live, forms=FORMS, **context)
-
-    def rows(request: Request) -> Response:
-        return page("job_rows.html", jobs=bench.jobs.all())
 
     def command(request: Request) -> Response:
         """The command that a form would run, or the problem with its values."""
@@ -50,31 +45,22 @@ def job_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     def whole_job(request: Request) -> Response:
-        return page("job.html", live=bench.jobs.version(), **_context(request))
-
-    def body(request: Request) -> Response:
-        context = _context(request)
-        job: Job = context["job"]
+        live, job = bench.jobs.version(), bench.jobs.get(request.path_params["job"])
+        answer = page("job.html", live=live, job=job, output=job.output())
         # "opens": the page was opened while the import ran; then the session opens by itself
-        opens = "opens" in request.query_params and job.about.form == "import" and job.code == 0
-        headers = {"HX-Redirect": job.about.made} if opens else {}
-        return HTMLResponse(render("job_body.html", **context), headers=headers)
+        if "opens" in request.query_params and job.about.form == "import" and job.code == 0:
+            answer.headers["HX-Redirect"] = job.about.made
+        return answer
 
     def stop(request: Request) -> Response:
         key = request.path_params["job"]
         bench.jobs.stop(key)
         return RedirectResponse(f"/jobs/{key}", status_code=303)
 
-    def _context(request: Request) -> dict[str, Any]:
-        job = bench.jobs.get(request.path_params["job"])
-        return {"job": job, "output": job.output()}
-
     return [
         Route("/jobs", whole),
         Route("/jobs", on_form(start), methods=["POST"]),
-        Route("/jobs.rows", rows),
         Route("/jobs.command", command),
         Route("/jobs/{job}", whole_job),
-        Route("/jobs/{job}/body", body),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
     ]
