@@ -65,9 +65,9 @@ def wait_for(path: str) -> None:
 
 def uses() -> dict[str, Callable[[], object]]:
     """The actions of a person, by name. Each is done once a round."""
-    while b"being read" in plain("/sessions.rows"):
+    while b"being read" in plain("/sessions"):
         time.sleep(0.2)
-    pages = ["/sessions", "/sessions.rows", "/index", "/runs", "/drives", "/jobs"]
+    pages = ["/sessions", "/index", "/runs", "/drives", "/jobs"]
     logs, runs = keys("/sessions", "sessions"), keys("/runs", "runs")
     log, run = logs[0], runs[0] if runs else ""
 
@@ -121,7 +121,7 @@ def uses() -> dict[str, Callable[[], object]]:
             for name in logs
             for number in (1, 2)
         ],
-        "search": lambda: [ask(f"/sessions.rows?where=speed_mph%20%3E%20{number}") for number in range(12)],
+        "search": lambda: [ask(f"/sessions?where=speed_mph%20%3E%20{number}") for number in range(12)],
         "looking at pictures": look,
         "augmentations": lambda: [ask(f"/index.altered?others={number}") for number in range(4)],
         "rerun": rerun,

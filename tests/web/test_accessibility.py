@@ -91,7 +91,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     make_recording(folder / "recordings" / "lake", f"{paths(0)},0.1,0.5,0,9.5\n")
     a_drive(folder / "drives" / "d.mcap", "r")
     with served(folder) as server:
-        wait_until(lambda: "reading" not in server.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in server.get("/runs").text)
         wait_until(lambda: "<circle" in server.get("/drives?log=d").text)
         yield server
 

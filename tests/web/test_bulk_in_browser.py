@@ -28,7 +28,7 @@ def bench(tmp_path: Path) -> Iterator[Served]:
         write_faulty(tmp_path / "sessions" / f"{name}.mcap")
     write_log(tmp_path / "sessions" / "good.mcap", [0.01 * (row % 40) for row in range(50)], road)
     with served(tmp_path) as server:
-        wait_until(lambda: "being read" not in server.get("/sessions.rows").text)
+        wait_until(lambda: "being read" not in server.get("/sessions").text)
         yield server
 
 

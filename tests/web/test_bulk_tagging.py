@@ -25,7 +25,7 @@ def bench(tmp_path: Path) -> Iterator[Served]:
         write_faulty(tmp_path / "sessions" / f"{name}.mcap")
     write_log(tmp_path / "sessions" / "good.mcap", [0.01 * (row % 40) for row in range(50)])
     with served(tmp_path) as server:
-        wait_until(lambda: "being read" not in server.get("/sessions.rows").text)
+        wait_until(lambda: "being read" not in server.get("/sessions").text)
         yield server
 
 
@@ -117,7 +117,7 @@ def test_what_is_no_query_or_no_change_is_refused(bench: Served) -> None:
 def test_an_unfinished_log_is_passed_over_with_a_word(bench: Served) -> None:
     whole = (bench.folder / "sessions" / "first.mcap").read_bytes()
     (bench.folder / "sessions" / "k.mcap.0a1b2c.part").write_bytes(whole[: len(whole) * 9 // 10])
-    wait_until(lambda: "unfinished" in bench.get("/sessions.rows").text)
+    wait_until(lambda: 'class="state">unfinished' in bench.get("/sessions").text)
     answer = bench.get("/sessions.found?only=with+stuck+steering").json
     assert [log["key"] for log in answer["logs"]] == ["first", "second"]
     assert all("unfinished" in problem for problem in answer["problems"])

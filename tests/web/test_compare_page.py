@@ -60,7 +60,7 @@ def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         assert "Not compared yet" in bench.get("/runs.compare?a=a&b=b").text
         a_job(bench, f"progress\n{json.dumps(measured())}\n", 1)
-        text = plain(bench.get("/runs.compare.body?a=a&b=b").text)
+        text = plain(bench.get("/runs.compare?a=a&b=b").text)
         assert "B is worse than A." in text
         assert "1,200 frames held out, in 40 blocks; errors in degrees" in text
         assert "RMSE 2.00 3.00 +1.00 +0.50 .. +1.50 worse" in text

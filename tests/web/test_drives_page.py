@@ -26,7 +26,7 @@ def test_drives_stand_beside_one_another_and_on_one_map(tmp_path: Path) -> None:
         link = r'<a href="(/drives/one#row=[^"]*)" title="the first intervention'
         assert re.findall(link, bench.get("/drives").text)
         for by in ("drive", "speed", "who+drove", "none"):
-            shown = bench.get(f"/drives.rows?log=one&log=two&log=bad&log=none&by={by}").text
+            shown = bench.get(f"/drives?log=one&log=two&log=bad&log=none&by={by}").text
             assert shown.count("<polyline") == 2
             assert "being read" not in shown
             assert re.findall(r'<a href="(/drives/\w+#row=\d+)"><circle cx="([\d.]+)"', shown) == [
@@ -39,7 +39,7 @@ def test_the_map_shows_where_the_steering_was_not_the_experts(tmp_path: Path) ->
     a_drive(tmp_path / "drives" / "one.mcap", "r")
     with served(tmp_path) as bench:
         wait_until(lambda: "being read" not in bench.get("/drives").text)
-        shown = bench.get("/drives.rows?log=one&by=error").text
+        shown = bench.get("/drives?log=one&by=error").text
         # a path's part has the colour of the row that it begins at; the last row begins none
         assert re.findall(r'<polyline class="([\w-]+)" points="([-\d.]+),', shown) == [
             ("step-none", "0.00"),

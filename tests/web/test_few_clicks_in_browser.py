@@ -37,7 +37,7 @@ def test_two_clicks_compare_the_newest_two_runs(browser: Browser, tmp_path: Path
     for number, name in enumerate(("old", "newer", "newest")):
         learnt_run(tmp_path / "runs" / name, number)
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in bench.get("/runs").text)
         page.click("nav >> text=Runs")
         page.click("text=Compare the newest two")
         page.wait_for_url("**/runs.compare?*")

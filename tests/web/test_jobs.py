@@ -152,7 +152,7 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
     line = f"bc-demo --folder={bench.folder}"
     assert line in html.unescape(page)
     job = start(bench, form="demo")
-    wait_until(lambda: re.search(r'class="state">recording', bench.get("/sessions.rows").text))
+    wait_until(lambda: re.search(r'class="state">recording', bench.get("/sessions").text))
     assert bench.post(f"{job}/stop").status == 303
     wait_until(lambda: "running" not in text(bench, job))
     assert line in text(bench, job)

@@ -50,7 +50,7 @@ def test_each_page_has_one_primary_action(browser: Browser, tmp_path: Path) -> N
     (run / "config.json").write_text(json.dumps(config))
     write_lines(run / "metrics.jsonl", [epoch_line(1), epoch_line(2)])
     with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
-        wait_until(lambda: "Let it drive" in bench.get("/runs/r/top").text)
+        wait_until(lambda: "Let it drive" in bench.get("/runs/r").text)
         for path, action in PRIMARY.items():
             page.goto(f"{bench.address}{path}", wait_until="networkidle")
             assert primary(page) == [action], path
@@ -127,7 +127,7 @@ def test_runs_with_long_names_fit_on_a_phone(browser: Browser, tmp_path: Path) -
     write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
     paths = ("/map?of=sessions/a", "/sessions/a", f"/runs/{name}", "/runs", f"/wheel?driver=run&run={name}")
     with served(tmp_path) as bench, opened_page(browser, bench.address, width=390) as page:
-        wait_until(lambda: "Let it drive" in bench.get(f"/runs/{name}/top").text)
+        wait_until(lambda: "Let it drive" in bench.get(f"/runs/{name}").text)
         for path in paths:
             page.goto(f"{bench.address}{path}", wait_until="networkidle")
             assert page.evaluate("document.documentElement.scrollWidth") == 390, path

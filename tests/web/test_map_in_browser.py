@@ -66,7 +66,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     write_lines(run / "metrics.jsonl", [epoch_line(1)])
     write_log(folder / "sessions" / "new.mcap", [0.1] * 5, cameras=[])
     with served(folder) as server:
-        wait_until(lambda: "reading" not in server.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in server.get("/runs").text)
         yield server
 
 

@@ -45,13 +45,13 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         (runs / name).mkdir()
         (runs / name / "config.json").write_text(config)
     with served(folder) as server:
-        wait_until(lambda: "reading" not in server.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in server.get("/runs").text)
         yield server
 
 
 def rows(bench: Served, query: str = "") -> dict[str, str]:
     """The text of each run in the list, by name and in the order of the list."""
-    items = re.findall(r"<tr id=.*?</tr>", bench.get(f"/runs.rows{query}").text, re.DOTALL)
+    items = re.findall(r"<tr id=.*?</tr>", bench.get(f"/runs{query}").text, re.DOTALL)
     names = [re.findall(r'class="name"[^>]*>(.*?)</a>', row, re.DOTALL)[0] for row in items]
     return {html.unescape(name): plain(row) for name, row in zip(names, items, strict=True)}
 
@@ -80,7 +80,7 @@ def test_each_run_is_told_as_bc_runs_tells_it(bench: Served) -> None:
 def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(tmp_path: Path) -> None:
     (a_run(tmp_path / "runs", "young") / "metrics.jsonl").unlink()
     with served(tmp_path) as bench:
-        wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in bench.get("/runs").text)
         assert "people 2 0 of 3 -" in rows(bench)["young"]
 
 
@@ -89,7 +89,7 @@ def test_a_run_of_an_index_that_holds_nothing_out_has_no_error(tmp_path: Path) -
     metrics.unlink()
     write_lines(metrics, [epoch_line(1, frames=0)])
     with served(tmp_path) as bench:
-        wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in bench.get("/runs").text)
         assert "held-out frames none: its error is unknown" in page(bench, "blind")
 
 
@@ -103,7 +103,7 @@ def test_curves_lie_over_each_other_and_settings_beside(bench: Served) -> None:
     assert len({run["colour"] for run in curves.values()}) == 3
     assert curves["good"]["lines"]["training loss"][0] == [0.4, 0.8, 1.0]  # in epochs
     assert curves["good"]["lines"]["RMSE"] == [[1.0, 2.0], [0.5, pytest.approx(3 / 4.5)]]
-    shown = bench.get(f"/runs.differences{chosen}").text
+    shown = bench.get(f"/runs{chosen}").text
     differing = [plain(row) for row in re.findall(r"<tr><th scope=\"row\">.*?</tr>", shown, re.DOTALL)]
     assert differing == ["training.seed 0 1"]
     assert "cannot be read" in shown
@@ -138,7 +138,7 @@ def test_what_bc_eval_measured_is_told_by_session(tmp_path: Path) -> None:
         errors = {"rmse_deg": rmse_deg, "correlation": None}
         keep_result(run, "frames", {"index": None, "network": errors, "sessions": {session: {}}})
     with served(tmp_path) as bench:
-        wait_until(lambda: "Measured in drives and on frames" in bench.get("/runs/r/body").text)
+        wait_until(lambda: "Measured in drives and on frames" in bench.get("/runs/r").text)
         text = page(bench, "r")
     assert "of monday , rmse deg 5.25" in text
     assert "of sunday , rmse deg 3.5" in text
@@ -151,8 +151,8 @@ def test_runs_measured_on_different_frames_are_listed_apart(tmp_path: Path) -> N
         stored["data"]["settings"]["seed"] = seed  # of the split
         config.write_text(json.dumps(stored))
     with served(tmp_path) as bench:
-        wait_until(lambda: "0.25" in bench.get("/runs.rows?sort=rmse").text)
-        listed = bench.get("/runs.rows?sort=rmse").text
+        wait_until(lambda: "0.25" in bench.get("/runs?sort=rmse").text)
+        listed = bench.get("/runs?sort=rmse").text
     names = re.findall(r'<a class="name"[^>]*>(\w)</a>', listed)
     marks = re.findall(r"<td>([AB])</td>", listed)
     assert list(zip(names, marks, strict=True)) in (
@@ -166,15 +166,15 @@ def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs", "killed", 2.0)
     (run / "metrics.jsonl").unlink()
     with served(tmp_path) as bench:
-        wait_until(lambda: "no epoch yet" in bench.get("/runs/killed/top").text)
+        wait_until(lambda: "no epoch yet" in bench.get("/runs/killed").text)
         assert "measured after the first epoch; bc-train --resume killed" in page(bench, "killed")
 
 
 def train_again(project: Path, run: str) -> str:
     """The command of the form to which *Train again* leads."""
     with served(project) as bench:
-        wait_until(lambda: "Train again" in bench.get(f"/runs/{run}/top").text)
-        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get(f"/runs/{run}/top").text)
+        wait_until(lambda: "Train again" in bench.get(f"/runs/{run}").text)
+        (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get(f"/runs/{run}").text)
         values = dict(parse_qsl(html.unescape(again)))
         return bench.get(f"/jobs.command?{urlencode({'form': values.pop('start'), **values})}").text
 
@@ -218,12 +218,12 @@ def test_before_training_again_its_page_names_the_logs_that_differ(tmp_path: Pat
     (run / "config.json").write_text(json.dumps(config))
     with served(tmp_path) as bench:
         said = "Train again does not use the same data: my drive"
-        wait_until(lambda: "Train again" in plain(bench.get("/runs/mine/top").text))
-        assert said not in plain(bench.get("/runs/mine/top").text)
+        wait_until(lambda: "Train again" in plain(bench.get("/runs/mine").text))
+        assert said not in plain(bench.get("/runs/mine").text)
         write_log(tmp_path / "other.mcap", [0.2] * 10).replace(log)
-        wait_until(lambda: f"{said} has changed." in plain(bench.get("/runs/mine/top").text))
+        wait_until(lambda: f"{said} has changed." in plain(bench.get("/runs/mine").text))
         log.unlink()
-        wait_until(lambda: f"{said} is not in these folders." in plain(bench.get("/runs/mine/top").text))
+        wait_until(lambda: f"{said} is not in these folders." in plain(bench.get("/runs/mine").text))
 
 
 def a_run_of_takeovers(project: Path, *drives: str, **training: Any) -> None:
@@ -260,8 +260,8 @@ def test_takeovers_that_the_form_cannot_repeat_are_not_trained_again(
         write_log(tmp_path / "drives" / f"{name}.mcap", [0.1] * 10)
     a_run_of_takeovers(tmp_path, "helped", "gone", **training)
     with served(tmp_path) as bench:
-        wait_until(lambda: "Evaluate" in bench.get("/runs/second/top").text)
-        assert "Train again" not in bench.get("/runs/second/top").text
+        wait_until(lambda: "Evaluate" in bench.get("/runs/second").text)
+        assert "Train again" not in bench.get("/runs/second").text
 
 
 def test_a_network_of_ones_own_code_is_not_trained_again_there(tmp_path: Path) -> None:
@@ -271,8 +271,8 @@ def test_a_network_of_ones_own_code_is_not_trained_again_there(tmp_path: Path) -
     config["network"]["name"] = "mine.py:Net"
     (run / "config.json").write_text(json.dumps(config))
     with served(tmp_path) as bench:
-        wait_until(lambda: "Evaluate" in bench.get("/runs/mine/top").text)
-        assert "Train again" not in bench.get("/runs/mine/top").text
+        wait_until(lambda: "Evaluate" in bench.get("/runs/mine").text)
+        assert "Train again" not in bench.get("/runs/mine").text
 
 
 def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
@@ -285,7 +285,7 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
     write_lines(run / "worst.jsonl", [{"epoch": 1, "frames": frames}, {"epoch": 2, "frames": frames[:1]}])
     with served(tmp_path) as bench:
         # of its best epoch, once that is known
-        wait_until(lambda: "6.0° too far to the left" in bench.get("/runs/r/body").text)
+        wait_until(lambda: "6.0° too far to the left" in bench.get("/runs/r").text)
         text = bench.get("/runs/r").text
         assert "8.0° too far to the right" in text
         assert 'href="/sessions/sunday#row=7&amp;run=' in text
@@ -300,7 +300,7 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
 def test_errors_and_bias_stand_beside_the_steering_that_was_recorded(tmp_path: Path) -> None:
     a_run(tmp_path / "runs", "r", 2.0)
     with served(tmp_path) as bench:
-        wait_until(lambda: "As numbers" in bench.get("/runs/r/body").text)
+        wait_until(lambda: "As numbers" in bench.get("/runs/r").text)
         text = bench.get("/runs/r").text
         # of 25 bins over -25 to 25 degrees; after the first epoch, which was kept
         assert "-19.0° -17.0° 10 18.00 -0.50" in plain(text)
@@ -318,7 +318,7 @@ def test_of_a_car_whose_angle_is_unknown_errors_are_shares_of_full_lock(tmp_path
     write_lines(run / "worst.jsonl", [{"epoch": 1, "max_deg": None, "frames": frames}])
     keep_result(run, "frames", {"index": "index", "max_deg": None, "network": {"rmse_deg": 2.5}})
     with served(tmp_path) as bench:
-        wait_until(lambda: "32.0 % too far to the right" in bench.get("/runs/tub/body").text)
+        wait_until(lambda: "32.0 % too far to the right" in bench.get("/runs/tub").text)
         text = page(bench, "tub")
         assert "RMSE 8.00 % (16.00 % of always predicting the mean)" in text
         assert "rmse, % of full lock 10" in text

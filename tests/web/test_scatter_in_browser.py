@@ -31,7 +31,7 @@ def test_each_point_leads_to_its_picture(browser: Browser, tmp_path: Path) -> No
     held_out = {frame["row"] for frame in frames if frame["split"] == "validation"}
     assert 0 < len(held_out) < len(STEERING)
     with served(tmp_path) as bench:
-        wait_until(lambda: "reading" not in bench.get("/runs.rows").text)
+        wait_until(lambda: "reading" not in bench.get("/runs").text)
         stretches = bench.get("/index/toy/held-out").json
         assert {row for first, last in stretches for row in range(first, last + 1)} == held_out
         with opened_page(browser, f"{bench.address}/runs/first") as page:

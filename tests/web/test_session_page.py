@@ -193,7 +193,7 @@ def test_a_log_that_is_not_finished_is_shown_but_not_tagged(bench: Served) -> No
 
 def test_a_session_of_any_name_can_be_opened_and_tagged(bench: Served) -> None:
     log = write_log(bench.folder / "sessions" / f"{AWKWARD}.mcap", [0.1, 0.2, 0.3], road)
-    page = bench.get("/sessions.rows").text
+    page = bench.get("/sessions").text
     at = next(part.split('"')[0] for part in page.split('href="')[1:] if part.startswith("/sessions/~"))
     assert bench.get(at).status == 200
     assert "<b>a" not in bench.get(at).text

@@ -50,13 +50,13 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     assert call(recorder.log_cli.main, "tag", plain, "exclude", "--rows", 10, 19) == 0
     assert call(dataset.cli.main, "plain", "--sessions", sessions, "--index", folder / "index") == 0
     with served(folder) as server:
-        wait_until(lambda: "being read" not in server.get("/sessions.rows").text)
+        wait_until(lambda: "being read" not in server.get("/sessions").text)
         yield server
 
 
 def rows(bench: Served, **query: str) -> dict[str, str]:
     """The text of each session in the list, by name and in the order of the list."""
-    page = bench.get(f"/sessions.rows?{urlencode(query)}").text
+    page = bench.get(f"/sessions?{urlencode(query)}").text
     items = re.findall(r"<li .*?</li>", page, re.DOTALL)
     names = [html.unescape(re.findall(r'class="name"[^>]*>(.*?)</a>', item, re.DOTALL)[0]) for item in items]
     return dict(zip(names, map(plain, items), strict=True))
@@ -108,12 +108,12 @@ def test_the_condition_of_bc_index_finds_rows(bench: Served) -> None:
     duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
     assert duckdb
     where = "steering > 0.25 and row < 20"
-    wait_until(lambda: "4 logs searched" in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
+    wait_until(lambda: "4 logs searched" in bench.get(f"/sessions?{urlencode({'where': where})}").text)
     listed = rows(bench, where=where)
     assert list(listed) == ["stuck"]
     assert "20 rows where" in listed["stuck"]
     for wrong in ("no_such_column > 1", "1; drop table x", "steering > (select 1 from read_csv('/etc/passwd'))"):
-        page = bench.get(f"/sessions.rows?{urlencode({'where': wrong})}").text
+        page = bench.get(f"/sessions?{urlencode({'where': wrong})}").text
         assert 'role="alert"' in page
     assert "root:" not in page
 
@@ -130,7 +130,7 @@ def test_a_condition_that_fails_on_a_log_does_not_hang(
 ) -> None:
     pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
     monkeypatch.setattr("web.logs.where_search._MAX_S", 0.2)
-    wait_until(lambda: problem in bench.get(f"/sessions.rows?{urlencode({'where': where})}").text)
+    wait_until(lambda: problem in bench.get(f"/sessions?{urlencode({'where': where})}").text)
     answer = bench.get(f"/sessions.found?{urlencode({'where': where})}")
     assert (answer.status, problem in answer.text) == (422, True)
 
@@ -168,8 +168,8 @@ def test_the_sketch_has_the_bins_of_the_index(tmp_path: Path, bins: int | None) 
     if bins is not None:
         build_index([log], tmp_path / "index", IndexConfig(bins=bins))
     with served(tmp_path) as bench:
-        wait_until(lambda: "steering.svg" in bench.get("/sessions.rows").text)
-        (address,) = re.findall(r'src="(/sessions/a/steering.svg[^"]*)"', bench.get("/sessions.rows").text)
+        wait_until(lambda: "steering.svg" in bench.get("/sessions").text)
+        (address,) = re.findall(r'src="(/sessions/a/steering.svg[^"]*)"', bench.get("/sessions").text)
         answer = bench.get(html.unescape(address))
     assert answer.headers["content-type"] == "image/svg+xml"
     assert answer.body.startswith(b"<svg ")
@@ -185,7 +185,7 @@ def test_what_is_kept_in_the_cache_may_be_deleted_or_damaged(bench: Served) -> N
         if path.is_file():
             path.write_bytes(b"{")
     with served(bench.folder) as again:
-        wait_until(lambda: "being read" not in again.get("/sessions.rows").text)
+        wait_until(lambda: "being read" not in again.get("/sessions").text)
         wait_until(lambda: rows(again) == rows(bench))
     shutil.rmtree(bench.folder / "cache")
 

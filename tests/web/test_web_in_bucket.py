@@ -140,13 +140,13 @@ def test_what_is_shown_is_what_is_shown_of_a_disk(
         for path in runs:
             assert plain(read(remote, path)) == plain(read(local, path))
         assert remote.get("/runs.curves?run=good").json == local.get("/runs.curves?run=good").json
-        shown = "/drives.rows?log=one"
+        shown = "/drives?log=one"
         assert plain(remote.get(shown).text) == plain(local.get(shown).text)
 
 
 def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve: Callable[[], Served]) -> None:
     bench = serve()
-    read(bench, "/sessions.rows")
+    read(bench, "/sessions")
     asked = Counter(asked_for(bucket))
     logs = [f"sessions/{name}.mcap" for name in ("broken", "first", "second", "third")]
     assert sorted(asked) == ["drives", "sessions", *logs[:3], "sessions/second.tags.jsonl", logs[3]]
@@ -155,7 +155,7 @@ def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve
     for _ in range(20):  # windows
         for path in (
             "/changes",
-            "/sessions.rows",
+            "/sessions",
             "/sessions/first",
             "/sessions/first/version",
             "/sessions/first/names",
@@ -171,7 +171,7 @@ def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve
         assert bench.get(f"/sessions/first/pictures/center/{row}").body == road_jpeg(row)
     assert asked_for(bucket) == []
     bench = serve()
-    read(bench, "/sessions.rows")
+    read(bench, "/sessions")
     bench.get("/sessions/first/strip.jpg")
     assert asked_for(bucket) == ["drives", "sessions", "sessions/broken.mcap"]  # perhaps it can be read by now
     bench.get("/sessions/first/state")
@@ -189,19 +189,19 @@ def test_the_store_is_asked_once_for_what_was_not_seen_yet(bucket: Bucket, serve
 
 def test_of_runs_that_is_brought_which_is_shown(bucket: Bucket, serve: Callable[[], Served]) -> None:
     bench = serve()
-    wait_until(lambda: "2 of 2 runs" in read(bench, "/runs.rows"))
+    wait_until(lambda: "2 of 2 runs" in read(bench, "/runs"))
     other = "runs/other"
     assert asked_for(bucket, "runs/other") == [f"{other}/config.json", f"{other}/metrics.jsonl"]
     page = bench.get("/runs/other").text
     assert f"s3://logs/{other}" in page
     assert asked_for(bucket, "runs") == [f"{other}/steps.jsonl"]
-    read(bench, "/sessions.rows")
+    read(bench, "/sessions")
     log = bench.get("/sessions/first/state").json["fingerprint"]
     assert asked_for(bucket, "runs") == []
     assert bench.get(f"/sessions/first/predictions/other?log={log}").status == 200
     assert set(asked_for(bucket, "runs")) == {f"{other}/model.safetensors"}
     bench = serve()
-    wait_until(lambda: "2 of 2 runs" in read(bench, "/runs.rows"))
+    wait_until(lambda: "2 of 2 runs" in read(bench, "/runs"))
     assert bench.get("/runs/other").text == page
     assert asked_for(bucket, "runs") == ["runs"]
 
@@ -211,23 +211,23 @@ def test_what_changes_there_is_seen(
 ) -> None:
     monkeypatch.setattr(stored_folders, "EVERY_S", 0.0)
     bench = serve()
-    read(bench, "/sessions.rows")
+    read(bench, "/sessions")
     before = bench.get("/sessions/first/version").json
     log = bucket.folder / "sessions" / "fourth.mcap"
     write_log(log, TURNING[:77], lambda _, row: road_jpeg(row))
-    wait_until(lambda: "77 rows" in read(bench, "/sessions.rows"))
+    wait_until(lambda: "77 rows" in read(bench, "/sessions"))
     asked = f"/sessions/fourth/pictures/center/3?v={bench.get('/sessions/fourth/state').json['version']}"
     assert bench.get(asked).status == 200
     write_log(log, TURNING[:88], lambda _, row: road_jpeg(row + 1), overwrite=True)
-    wait_until(lambda: "88 rows" in read(bench, "/sessions.rows"))
+    wait_until(lambda: "88 rows" in read(bench, "/sessions"))
     assert bench.get(asked).status == 409
     tag = "tag", log, "slow", "--rows", 3, 12
     assert call(recorder.log_cli.main, *tag) == 0
-    wait_until(lambda: "slow 10" in read(bench, "/sessions.rows"))
+    wait_until(lambda: "slow 10" in read(bench, "/sessions"))
     assert call(recorder.log_cli.main, *tag, "--remove") == 0
     log.unlink()
     log.with_name("fourth.tags.jsonl").unlink()
-    wait_until(lambda: "fourth" not in read(bench, "/sessions.rows"))
+    wait_until(lambda: "fourth" not in read(bench, "/sessions"))
     assert bench.get("/sessions/fourth").status == 404
     assert bench.get("/sessions/first/version").json == before
 
@@ -249,19 +249,19 @@ def test_a_store_that_does_not_answer_is_a_line_on_the_page(
         assert (missing.status, "has not answered yet" in missing.json["error"]) == (503, True)
     finally:
         hold.set()
-    for path in ("/sessions.rows", "/drives.rows", "/index"):
+    for path in ("/sessions", "/drives", "/index"):
         wait_until(lambda path=path: "the store refuses this request" in bench.get(path).text)  # type: ignore[misc]
     bucket.answer = lambda passing: "second.mcap" in passing.path and passing.fail(403, "AccessDenied")
-    wait_until(lambda: bench.get("/sessions.rows").text.count("120 rows") == 2)
-    wait_until(lambda: "second.mcap: the store refuses" in bench.get("/sessions.rows").text)
-    assert bench.get("/sessions.rows").text.count("damaged") == 2  # the one that is, in two words
+    wait_until(lambda: bench.get("/sessions").text.count("120 rows") == 2)
+    wait_until(lambda: "second.mcap: the store refuses" in bench.get("/sessions").text)
+    assert bench.get("/sessions").text.count("damaged") == 3  # twice of the log, and in the filter
     bucket.pass_all()
-    wait_until(lambda: read(bench, "/sessions.rows").count("120 rows") == 3)
-    wait_until(lambda: "refuses" not in bench.get("/sessions.rows").text)
+    wait_until(lambda: read(bench, "/sessions").count("120 rows") == 3)
+    wait_until(lambda: "refuses" not in bench.get("/sessions").text)
     assert bench.get("/sessions/first/pictures/center/3").status == 200
     bucket.answer = lambda passing: passing.fail(403, "AccessDenied")
-    wait_until(lambda: "refuses" in bench.get("/sessions.rows").text)
-    assert "120 rows" in bench.get("/sessions.rows").text  # what is known of it stays
+    wait_until(lambda: "refuses" in bench.get("/sessions").text)
+    assert "120 rows" in bench.get("/sessions").text  # what is known of it stays
     assert bench.get("/sessions/first/pictures/center/3").status == 200
     asked_for(bucket)
     for path in ("first/pictures/center/100", "third/state"):
@@ -272,7 +272,7 @@ def test_a_store_that_does_not_answer_is_a_line_on_the_page(
 
 def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Served]) -> None:
     bench = serve()
-    read(bench, "/sessions.rows")
+    read(bench, "/sessions")
     at = "/sessions/third"
     assert bench.get(f"{at}/tags").json["tags"] == []
     log = bench.get(f"{at}/state").json["fingerprint"]
@@ -292,7 +292,7 @@ def test_logs_are_tagged_and_made_there(bucket: Bucket, serve: Callable[[], Serv
     assert [shown["names"][number] for _, _, number in shown["tags"]] == ["slow"]
     assert bench.get(f"{at}/version").json["tags"] == shown["version"]
     assert [tag.name for tag in read_tags(tags.with_name("third.mcap"), log)] == ["slow"]
-    assert "slow 10" in read(bench, "/sessions.rows")
+    assert "slow 10" in read(bench, "/sessions")
     assert change("add") == {"changed": [], "commands": [], "notice": ""}
     assert change("remove")["commands"] == [f"{command} --remove"]
     assert bench.get(f"{at}/tags").json["tags"] == []

@@ -330,8 +330,8 @@ def test_a_newcomer_drives_and_finds_the_session_and_what_to_do_next(browser: Br
         page.keyboard.press("r")
         page.keyboard.down("ArrowLeft")
         wait_until(lambda: int(page.inner_text("#rows").split()[0]) > 10)
-        growing = wait_until(lambda: re.findall(r'href="(/sessions/mine[^"]*)"', bench.get("/sessions.rows").text))
-        assert "recording" in bench.get("/sessions.rows").text
+        growing = wait_until(lambda: re.findall(r'href="(/sessions/mine[^"]*)"', bench.get("/sessions").text))
+        assert 'class="state">recording' in bench.get("/sessions").text
         assert bench.get(growing[0]).status == 200
         page.keyboard.up("ArrowLeft")
         page.keyboard.press("Escape")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode
 
 from starlette.requests import Request
@@ -18,13 +17,10 @@ from web.errors import WebError
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
-from web.server.templates import page, page_of
+from web.server.templates import page
 
 
 def compare_routes(bench: Workbench) -> list[Route]:
-    def whole(request: Request) -> Response:
-        return page("compare.html", live=bench.jobs.version(), **_context(request))
-
     def start(request: Request, values: Values) -> Response:
         """Start a comparison, unless it is running, or has a result of the present weights."""
         query = _query(values)
@@ -47,27 +43,28 @@ def compare_routes(bench: Workbench) -> list[Route]:
             raise WebError("a comparison needs two runs: choose a second one", 422)
         return bench.folders.run(a), bench.folders.run(b)
 
-    def _context(request: Request) -> dict[str, Any]:
-        query = _query(request.query_params)
+    def whole(request: Request) -> Response:
+        live, query = bench.jobs.version(), _query(request.query_params)
         runs = _runs(query["a"], query["b"])
         command = _command(**query)
         job = newest_job(bench.jobs.all(), command)
         comparison = None if job is None else comparison_of(job)
-        return {
+        return page(
+            "compare.html",
             **query,
-            "names": [printable(run.name) for run in runs],
-            "query": urlencode(query),
-            "sessions": bench.folders.finished("sessions"),
-            "command": printable(shlex.join(command)),
-            "job": job,
-            "comparison": comparison,
-            "is_outdated": comparison is not None and job is not None and is_outdated(job, runs),
-        }
+            live=live,
+            names=[printable(run.name) for run in runs],
+            query=urlencode(query),
+            sessions=bench.folders.finished("sessions"),
+            command=printable(shlex.join(command)),
+            job=job,
+            comparison=comparison,
+            is_outdated=comparison is not None and job is not None and is_outdated(job, runs),
+        )
 
     return [
         Route("/runs.compare", whole),
         Route("/runs.compare", on_form(start), methods=["POST"]),
-        Route("/runs.compare.body", page_of("compare_body.html", _context)),
     ]
 
 

@@ -18,7 +18,7 @@ from web.logs.drive_view import DriveView
 from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
 from web.runs.run_colours import COLOURS, run_colours
-from web.server.templates import page, page_of
+from web.server.templates import page
 
 _PATIENCE_S: Final = 0.5
 MAX_CHOSEN: Final = COLOURS
@@ -26,9 +26,7 @@ MAX_CHOSEN: Final = COLOURS
 
 def drive_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
-        return page("drives.html", live=drives_version(bench), **_context(request))
-
-    def _context(request: Request) -> dict[str, Any]:
+        live = drives_version(bench)  # before the drives are read, so that later changes are noticed
         query = request.query_params
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         logs = bench.folders.logs("drives")
@@ -59,21 +57,23 @@ def drive_routes(bench: Workbench) -> list[Route]:
         map_of_drives = drive_map([drive["view"] for drive in on_map], colours, by)
         if on_map and map_of_drives is None:
             problems.append("these drives have no poses: their simulator does not report the car's place")
-        return {
-            "drives": drives,
-            "chosen": chosen,
-            "on_map": on_map,
-            "colours": colours,
-            "map": map_of_drives,
-            "max_error_deg": MAX_ERROR_DEG,
-            "reading": sum(not (drive["view"] or drive["problem"]) for drive in drives),
-            "by": by,
-            "ways": WAYS,
-            "problems": problems,
-            "folder": printable(str(bench.folders.drives)),
-        }
+        return page(
+            "drives.html",
+            live=live,
+            drives=drives,
+            chosen=chosen,
+            on_map=on_map,
+            colours=colours,
+            map=map_of_drives,
+            max_error_deg=MAX_ERROR_DEG,
+            reading=sum(not (drive["view"] or drive["problem"]) for drive in drives),
+            by=by,
+            ways=WAYS,
+            problems=problems,
+            folder=printable(str(bench.folders.drives)),
+        )
 
-    return [Route("/drives", whole), Route("/drives.rows", page_of("drive_rows.html", _context))]
+    return [Route("/drives", whole)]
 
 
 def _colours(drives: Sequence[dict[str, Any]]) -> list[int]:

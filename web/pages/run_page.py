@@ -34,7 +34,7 @@ from web.runs.run_bins import bin_bars
 from web.runs.run_cards import RunCard
 from web.runs.run_origins import index_checksum, origin_of
 from web.runs.run_settings import settings_of
-from web.server.templates import page, page_of
+from web.server.templates import page
 
 _MAX_NUMBERS: Final = 14  # of a result
 _MAX_REASONS: Final = 3
@@ -48,9 +48,6 @@ _LINE: Final = 90.0  # length of the line, in a picture of 128 by 128
 
 
 def run_routes(bench: Workbench) -> list[Route]:
-    def whole(request: Request) -> Response:
-        return page("run.html", live=runs_version(bench), **_context(request))
-
     def worst_picture(request: Request) -> Response:
         """The picture of a worst frame after an epoch, as the network saw it."""
         epoch, number = number_in(request, "epoch"), number_in(request, "number")
@@ -60,8 +57,8 @@ def run_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
         return Response(worst.jpegs[number], media_type="image/jpeg")
 
-    def _context(request: Request) -> dict[str, Any]:
-        key = request.path_params["run"]
+    def whole(request: Request) -> Response:
+        live, key = runs_version(bench), request.path_params["run"]
         path = bench.folders.run(key)
         cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")
@@ -69,26 +66,26 @@ def run_routes(bench: Workbench) -> list[Route]:
         with contextlib.suppress(UserError):  # damaged, or changed meanwhile
             config = load_config(path)
         again = _again(bench, card, config)
-        return {
-            "card": card,
-            "path": printable(str(bench.folders.run_place(path))),
-            "summary": card.summary,
-            "job": bench.jobs.training(f"/runs/{key}"),
-            "again": again,
-            "not_as_before": _not_as_before(bench, card, config) if again and config else "",
-            "settings": settings_of(config) if config is not None else {},
-            "sessions": _sessions(pages, card),
-            "is_of_index": _is_of_index(path, bench.folders.local_index),
-            "results": _results(pages, card),
-            "drives": _drives(bench, path.name),
-            "scatter_logs": _scatter_logs(bench, pages, card),
+        return page(
+            "run.html",
+            live=live,
+            card=card,
+            path=printable(str(bench.folders.run_place(path))),
+            summary=card.summary,
+            job=bench.jobs.training(f"/runs/{key}"),
+            again=again,
+            not_as_before=_not_as_before(bench, card, config) if again and config else "",
+            settings=settings_of(config) if config is not None else {},
+            sessions=_sessions(pages, card),
+            is_of_index=_is_of_index(path, bench.folders.local_index),
+            results=_results(pages, card),
+            drives=_drives(bench, path.name),
+            scatter_logs=_scatter_logs(bench, pages, card),
             **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
-        }
+        )
 
     return [
         Route("/runs/{run}", whole),
-        Route("/runs/{run}/top", page_of("run_top.html", _context)),
-        Route("/runs/{run}/body", page_of("run_body.html", _context)),
         Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from starlette.datastructures import QueryParams
@@ -22,7 +23,7 @@ from web.runs.run_cards import RunCard
 from web.runs.run_colours import COLOURS, run_colours
 from web.runs.run_curves import Line, run_curves
 from web.runs.run_settings import differing, settings_of
-from web.server.templates import page, page_of
+from web.server.templates import page
 
 PATIENCE_S: Final = 1.0
 """Time for runs that are being read."""
@@ -49,61 +50,59 @@ class RunQuery:
 def run_list_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = runs_version(bench)  # before the runs are read
-        context = {**_list(request), **_differing(request), "sorts": list(SORTED_BY)}
-        return page("runs.html", query=RunQuery.parse(request.query_params), live=live, **context)
+        query = RunQuery.parse(request.query_params)
+        cards = bench.runs.cards(PATIENCE_S)
+        shown = _sorted([card for card in cards if _has_words(card, query.text)], query.sort)
+        summaries = [card.summary for card in shown if card.summary]
+        chosen = _chosen(query)
+        return page(
+            "runs.html",
+            live=live,
+            query=query,
+            sorts=list(SORTED_BY),
+            cards=shown,
+            marks=marks_of_splits(summaries),
+            different_frames=different_frames(summaries),
+            total=len(cards),
+            newest=dict(zip("ab", _newest_two(cards), strict=False)),
+            chosen=chosen,
+            compare=dict(zip("ab", chosen, strict=False)),
+            driven=driven_words,
+            folder=printable(str(bench.folders.runs)),
+            problem=bench.folders.runs_problem,
+            **_differences(chosen.values()),
+        )
 
     def curves(request: Request) -> Response:
         """The lines of each readable chosen run."""
         runs = []
         chosen = _chosen(RunQuery.parse(request.query_params))
-        colours = run_colours(path.name for _, path in chosen)
-        for key, path in chosen:
+        colours = run_colours(path.name for path in chosen.values())
+        for key, path in chosen.items():
             lines: dict[str, Line] = {}
             with contextlib.suppress(UserError):  # its page, and the list, show the problem
                 lines = run_curves(bench.runs.history(path))
             runs.append({"key": key, "name": printable(path.name), "lines": lines, "colour": colours[path.name]})
         return JSONResponse(runs)
 
-    def _list(request: Request) -> dict[str, Any]:
-        query, folder = RunQuery.parse(request.query_params), bench.folders.runs
-        cards = bench.runs.cards(PATIENCE_S)
-        shown = _sorted([card for card in cards if _has_words(card, query.text)], query.sort)
-        summaries = [card.summary for card in shown if card.summary]
-        return {
-            "cards": shown,
-            "marks": marks_of_splits(summaries),
-            "different_frames": different_frames(summaries),
-            "total": len(cards),
-            "newest": dict(zip("ab", _newest_two(cards), strict=False)),
-            "chosen": {key: number for number, (key, _) in enumerate(_chosen(query), 1)},
-            "driven": driven_words,
-            "folder": printable(str(folder)),
-            "problem": bench.folders.runs_problem,
-        }
-
-    def _chosen(query: RunQuery) -> list[tuple[str, Any]]:
+    def _chosen(query: RunQuery) -> dict[str, Path]:
         folders = bench.folders.run_folders()
-        return [(key, folders[key]) for key in query.chosen if key in folders]
+        return {key: folders[key] for key in query.chosen if key in folders}
 
-    def _differing(request: Request) -> dict[str, Any]:
-        names, settings, problems = [], [], []
-        chosen = _chosen(RunQuery.parse(request.query_params))
-        for _, path in chosen:
-            try:
-                settings.append(settings_of(load_config(path)))
-            except UserError as error:
-                problems.append(printable(str(error)))
-            else:
-                names.append(printable(path.name))
-        first_two = dict(zip("ab", (key for key, _ in chosen), strict=False))
-        return {"names": names, "rows": differing(settings), "problems": problems, "compare": first_two}
+    return [Route("/runs", whole), Route("/runs.curves", curves)]
 
-    return [
-        Route("/runs", whole),
-        Route("/runs.rows", page_of("run_rows.html", _list)),
-        Route("/runs.differences", page_of("run_differences.html", _differing)),
-        Route("/runs.curves", curves),
-    ]
+
+def _differences(runs: Iterable[Path]) -> dict[str, Any]:
+    """The settings that differ between runs, as `rows`, and the names of the runs that can be read."""
+    names, settings, problems = [], [], []
+    for path in runs:
+        try:
+            settings.append(settings_of(load_config(path)))
+        except UserError as error:
+            problems.append(printable(str(error)))
+        else:
+            names.append(printable(path.name))
+    return {"names": names, "rows": differing(settings), "problems": problems}
 
 
 def _newest_two(cards: Sequence[RunCard]) -> list[str]:

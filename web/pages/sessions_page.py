@@ -22,7 +22,7 @@ from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import PLAIN_FLAGS, SURE
 from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
-from web.server.templates import page, page_of
+from web.server.templates import page
 
 _PATIENCE_S: Final = 0.3
 """Time for logs that are being read: enough for a few sessions. A longer list is completed later."""
@@ -85,24 +85,23 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse("/sessions")
 
     def whole(request: Request) -> Response:
-        version = sessions_version(bench)  # before the logs are read, so that later changes are noticed
-        only = [name for name in ONLY if name not in KINDS]
-        choices = {"sorts": list(SORTS), "only": only, "kinds": list(KINDS)}
-        return page("sessions.html", live=version, **choices, **_list(request))
-
-    def _list(request: Request) -> dict[str, Any]:
+        live = sessions_version(bench)  # before the logs are read, so that later changes are noticed
         query = SessionQuery.parse(request.query_params)
-        return {
-            "query": query,
-            "listed": list_sessions(bench, query),
-            "folder": printable(str(bench.folders.sessions)),
-            "demo": printable(shlex.join(form_of("demo").words({}, bench.folders))),
-            "bins": bins_of_index(bench.folders.local_index),
-            "problem": bench.folders.problem("sessions"),
-        }
+        return page(
+            "sessions.html",
+            live=live,
+            sorts=list(SORTS),
+            only=[name for name in ONLY if name not in KINDS],
+            kinds=list(KINDS),
+            query=query,
+            listed=list_sessions(bench, query),
+            folder=printable(str(bench.folders.sessions)),
+            demo=printable(shlex.join(form_of("demo").words({}, bench.folders))),
+            bins=bins_of_index(bench.folders.local_index),
+            problem=bench.folders.problem("sessions"),
+        )
 
-    rows = page_of("session_rows.html", _list)
-    return [Route("/", front), Route("/sessions", whole), Route("/sessions.rows", rows)]
+    return [Route("/", front), Route("/sessions", whole)]
 
 
 def kind_of(query: SessionQuery) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
@@ -32,7 +32,7 @@ from web.jobs.wheels import (
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_origins import origin_of
-from web.server.templates import page, page_of, render
+from web.server.templates import page
 
 
 def wheel_routes(bench: Workbench) -> list[Route]:
@@ -55,12 +55,11 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         """A page that waits until the drive of a job can be steered."""
         job = bench.jobs.get(request.path_params["job"])
         address = _address(job.about.made, bench.folders) if job.is_running else ""
+        if not address:
+            return page("wheel_begin.html", job=job)
         if "hx-request" in request.headers:
-            text = render("wheel_begin_body.html", job=job)
-            return HTMLResponse(text, headers={"HX-Redirect": address} if address else {})
-        if address:
-            return RedirectResponse(address, status_code=303)
-        return page("wheel_begin.html", job=job)
+            return Response(headers={"HX-Redirect": address})
+        return RedirectResponse(address, status_code=303)
 
     def drive(request: Request) -> Response:
         """The page of a running drive."""
@@ -77,12 +76,12 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         bench.jobs.start(words, f"/runs/{key_of(Path(run))}")
         return RedirectResponse(_after(place, key), status_code=303)
 
-    def _ended(request: Request) -> dict[str, Any]:
-        """The log of an ended drive, and the next steps."""
+    def after(request: Request) -> Response:
+        """The page of an ended drive's log, with the next steps."""
         place, key, ended = _ended_drive(request)
         context: dict[str, Any] = {"at": _after(place, key), "name": key, "log": ""}
         if ended is None:
-            return context
+            return page("wheel_after.html", **context)
         context |= {
             "name": printable(session_name(ended.log)),
             "log": f"/{place}/{key_of(ended.log)}",
@@ -90,7 +89,7 @@ def wheel_routes(bench: Workbench) -> list[Route]:
             "is_whole": ended.is_whole,
         }
         if ended.is_growing:
-            return context
+            return page("wheel_after.html", **context)
         with bench.logs.open(ended.log) as opened:
             metadata = opened.log.metadata
             states = opened.states
@@ -103,18 +102,20 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         name = session_name(ended.log)
         job = next((job for job in bench.jobs.all() if is_training_on(job, ended.log)), None)
         learnt = [(key, printable(run.name)) for key, run in runs.items() if name in origin_of(run).sessions]
-        return context | {
-            "rows": rows,
-            "length_s": length_s,
-            "taken": taken,
-            "drove": drove if drove in runs else "",
-            "is_ours": is_ours,  # not imported, so one can drive on from its end
-            "is_supervised": place == "drives",
-            "job": job,
-            "has_curves": job is not None and job.about.made.rpartition("/")[2] in runs,
-            "learnt": [] if job and job.is_running else learnt,
-            "like": f"{place}/{key}",
-        }
+        return page(
+            "wheel_after.html",
+            **context,
+            rows=rows,
+            length_s=length_s,
+            taken=taken,
+            drove=drove if drove in runs else "",
+            is_ours=is_ours,  # not imported, so one can drive on from its end
+            is_supervised=place == "drives",
+            job=job,
+            has_curves=job is not None and job.about.made.rpartition("/")[2] in runs,
+            learnt=[] if job and job.is_running else learnt,
+            like=f"{place}/{key}",
+        )
 
     def _ended_drive(request: Request) -> tuple[Place, str, EndedDrive | None]:
         """The folder and the key of a drive's log, and the log, if there is one."""
@@ -128,8 +129,7 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         Route("/wheel", on_form(start), methods=["POST"]),
         Route("/wheel.rows", rows),
         Route("/wheel/begin/{job}", begin),
-        Route(at, page_of("wheel_after.html", _ended)),
-        Route(f"{at}/body", page_of("wheel_after_body.html", _ended)),
+        Route(at, after),
         Route(f"{at}/train", train, methods=["POST"]),
         Route("/wheel/{key}", drive),
     ]

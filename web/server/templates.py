@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
-from starlette.requests import Request
 from starlette.responses import HTMLResponse
 
 from common.errors import counted, decimal
@@ -67,8 +65,3 @@ def render(template: str, /, **values: Any) -> str:
 def page(template: str, /, **values: Any) -> HTMLResponse:
     """The answer of a template with these values."""
     return HTMLResponse(render(template, **values))
-
-
-def page_of(template: str, values: Callable[[Request], Mapping[str, Any]]) -> Callable[[Request], HTMLResponse]:
-    """The endpoint that answers with a template and the `values` of a request."""
-    return lambda request: page(template, **values(request))

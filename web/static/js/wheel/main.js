@@ -189,7 +189,7 @@ function ended({ why }) {
   write("ended-title", why ? `${why[0].toUpperCase()}${why.slice(1)}` : "The drive has ended");
   by("ended").hidden = false;
   if (by("confirm").open) by("confirm").close();
-  if (page.dataset.after) htmx.ajax("GET", `${page.dataset.after}/body`, { target: "#after", swap: "innerHTML" });
+  if (page.dataset.after) htmx.ajax("GET", page.dataset.after, { target: "#after", select: "#after", swap: "outerHTML" });
 }
 
 const request = (message) => isHolder && link.send(message);
