@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import printable
-from common.files import final_name
+from common.files import session_name
 from common.location import Location
 from common.untrusted import whole_number
 from recorder.upkeep.recover import recovered_name
@@ -64,7 +64,7 @@ class LogJob:
 
 
 def _suffixed(word: str) -> Callable[[Path], Path]:
-    return lambda log: log.with_name(f"{final_name(log.name).removesuffix(_SUFFIX)}{word}{_SUFFIX}")
+    return lambda log: log.with_name(f"{session_name(log)}{word}{_SUFFIX}")
 
 
 LOG_JOBS: Final = (

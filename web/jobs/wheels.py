@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from common.errors import printable
-from common.files import PART_SUFFIX, final_name
+from common.files import PART_SUFFIX, final_name, session_name
 from common.location import Location, Url
 from common.locks import is_being_written
 from common.recipe import Recipe
@@ -113,7 +113,7 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     takeovers of a drive train the run that drove. Raises WebError if that run no longer exists, or if a session's
     name looks like a flag."""
     runs = folders.run_folders()
-    name = final_name(log.name).removesuffix(".mcap")
+    name = session_name(log)
     if place == "drives":
         with Log(log) as drive:
             name = drive.metadata.get("run", "")
@@ -147,7 +147,7 @@ def quick_epochs(rows: int) -> int:
 def is_training_on(job: Job, log: Location) -> bool:
     """Whether a job trains or trained on that log."""
     words = job.about.words
-    is_on = words[-2:] == ["--on", final_name(log.name).removesuffix(".mcap")]
+    is_on = words[-2:] == ["--on", session_name(log)]
     return is_on or (words[0] == "bc-train" and str(log) in words)  # of --takeovers
 
 
@@ -248,7 +248,7 @@ def _settings_of(like: str, folders: ProjectFolders, *, goes_on: bool) -> dict[s
     settings |= {"speed": speed} if _is_speed(speed) else {}
     settings |= {"rate": rate} if _is_rate(rate) else {}
     settings |= {} if start_m is None else {"start": f"{start_m:.1f}"}
-    stem = _NUMBERED.sub("", final_name(ended.log.name).removesuffix(".mcap"))
+    stem = _NUMBERED.sub("", session_name(ended.log))
     if goes_on and _NAME.fullmatch(stem) and len(stem) < _MAX_STEM:
         settings["name"] = free_name(stem, folders, first=2)
     return settings
