@@ -63,12 +63,10 @@ class OpenLogs:
     def open(self, path: Location) -> Iterator[OpenLog]:
         """The log at a path. Raises LogError if it cannot be read, StoreError."""
         version = self._folders.version_of(path)
-        opened = self._used(path, version)
-        if opened is None:
-            with self._lock:
-                opening = self._opening.setdefault(path, threading.Lock())
-            with opening:  # simultaneous requests get the same log
-                opened = self._used(path, version) or self._opened(path, version)
+        with self._lock:
+            opening = self._opening.setdefault(path, threading.Lock())
+        with opening:  # simultaneous requests get the same log
+            opened = self._used(path, version) or self._opened(path, version)
         try:
             yield opened
         finally:
@@ -93,8 +91,6 @@ class OpenLogs:
         self._folders.refuse_unanswered(path)
         opened = OpenLog(path, version)
         with self._lock:
-            if path in self._kept:  # of another version
-                self._drop(path)
             self._kept[path] = opened
             opened.users += 1
             while len(self._kept) > MAX_OPEN or (len(self._kept) > 1 and self._messages() > MAX_MESSAGES):
