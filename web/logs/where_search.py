@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
+from functools import partial
 from typing import Final
 
 import pyarrow as pa
@@ -50,8 +51,11 @@ class WhereSearches:
         with self._lock:
             search = self._searches.get(where)
         if search is None:
-            _check(where)
-            search = Background[Location, int](self._pool, self._count(where))
+            try:
+                Condition(where).check()
+            except UserError as error:
+                raise UserError(printable(str(error))) from None
+            search = Background[Location, int](self._pool, partial(self._count, where, []))
             with self._lock:
                 self._searches[where] = search
                 while len(self._searches) > _MAX_SEARCHES:
@@ -65,20 +69,15 @@ class WhereSearches:
                 raise UserError(printable(str(result)))
         return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
 
-    def _count(self, where: str) -> Callable[[Location, str], int]:
-        """The function that counts the rows of a log. After the condition has failed, it fails for all logs."""
-        failures: list[DatasetError] = []
-
-        def count(path: Location, version: str) -> int:
-            if failures:
-                raise failures[0]
-            try:
-                return len(self.numbers(where, path))
-            except DatasetError as error:
-                failures.append(error)
-                raise
-
-        return count
+    def _count(self, where: str, failures: list[DatasetError], path: Location, version: str) -> int:
+        """The number of rows of a log. After the condition has failed once, it fails for all logs."""
+        if failures:
+            raise failures[0]
+        try:
+            return len(self.numbers(where, path))
+        except DatasetError as error:
+            failures.append(error)
+            raise
 
     def numbers(self, where: str, path: Location) -> set[int]:
         """The rows of a log that meet the condition. Raises DatasetError for a condition that is invalid or takes
@@ -87,10 +86,3 @@ class WhereSearches:
         with Log(path) as log:
             frames = frames_table(log, self._folders.local_index, IndexConfig(), read_tags(path, log.fingerprint))
         return set(frames["row"].filter(pa.array(Condition(where, _MAX_S).holds(frames))).to_pylist())
-
-
-def _check(where: str) -> None:
-    try:
-        Condition(where).check()
-    except UserError as error:
-        raise UserError(printable(str(error))) from None
