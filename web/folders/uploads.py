@@ -13,7 +13,6 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Final
 
 import msgspec
@@ -71,9 +70,7 @@ class Upload:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._close()
         shutil.rmtree(self._part, ignore_errors=True)  # renamed already if it was finished
         remove_empty(self._above)

@@ -14,9 +14,10 @@ from starlette.routing import Route
 from common.errors import printable
 from common.files import session_name
 from web.errors import WebError
+from web.jobs.jobs import Job
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.runs.run_comparisons import compare_command, comparison_of, is_outdated, newest_job
+from web.runs.run_comparisons import compare_command, comparison_of, is_outdated
 from web.server.templates import page
 
 
@@ -26,9 +27,8 @@ def compare_routes(bench: Workbench) -> list[Route]:
         query = _query(values)
         address = f"/runs.compare?{urlencode(query)}"
         command, runs = _command(**query), _runs(query["a"], query["b"])
-        job = newest_job(bench.jobs.all(), command)
-        is_kept = job is not None and comparison_of(job) is not None and not is_outdated(job, runs)
-        if not (is_kept or (job is not None and job.is_running)):
+        job = _newest_job(command)
+        if job is None or not (job.is_running or (comparison_of(job) and not is_outdated(job, runs))):
             bench.jobs.start(command, address)
         return RedirectResponse(address, status_code=303)
 
@@ -47,8 +47,8 @@ def compare_routes(bench: Workbench) -> list[Route]:
         live, query = bench.jobs.version(), _query(request.query_params)
         runs = _runs(query["a"], query["b"])
         command = _command(**query)
-        job = newest_job(bench.jobs.all(), command)
-        comparison = None if job is None else comparison_of(job)
+        job = _newest_job(command)
+        comparison = comparison_of(job) if job else None
         return page(
             "compare.html",
             **query,
@@ -59,8 +59,11 @@ def compare_routes(bench: Workbench) -> list[Route]:
             command=printable(shlex.join(command)),
             job=job,
             comparison=comparison,
-            is_outdated=comparison is not None and job is not None and is_outdated(job, runs),
+            is_outdated=bool(job and comparison and is_outdated(job, runs)),
         )
+
+    def _newest_job(command: list[str]) -> Job | None:
+        return next((job for job in bench.jobs.all() if job.about.words == command), None)
 
     return [
         Route("/runs.compare", whole),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from functools import partial
 from typing import Final
 
@@ -30,7 +31,6 @@ from web.logs.session_stretches import flag_stretches, not_learnt_stretches, sho
 from web.pages.log_jobs_page import shown_log_jobs
 from web.pages.tagging import TagChange, change_tags, on_change, tag_names
 from web.pages.workbench import Workbench
-from web.processes.rerun_viewers import command_of
 from web.server.templates import page
 
 _COLUMNS: Final = ("row", "time_s", "steering", "throttle", "brake", "speed_mph")
@@ -56,7 +56,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
             path=printable(str(path)),
             log_jobs=shown_log_jobs(path),
             others=[item for item in bench.folders.finished(place).items() if item[1] != name],
-            play_command=command_of(path),
+            play_command=printable(shlex.join(["bc-play", str(path)])),
             runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
         )
 

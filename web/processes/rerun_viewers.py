@@ -9,7 +9,6 @@ import contextlib
 import http.client
 import os
 import secrets
-import shlex
 import signal
 import subprocess
 import sys
@@ -186,11 +185,6 @@ class RerunViewers:
             self.end(viewer)
         for ending in self._endings:
             ending.join()
-
-
-def command_of(log: Location) -> str:
-    """The command that opens the same log outside the browser."""
-    return printable(shlex.join(["bc-play", str(log)]))
 
 
 def viewer_version() -> str:

@@ -28,11 +28,6 @@ def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> 
     return words + folders.flags("runs", "sessions")
 
 
-def newest_job(jobs: Sequence[Job], command: list[str]) -> Job | None:
-    """The newest job with this command."""
-    return next((job for job in jobs if job.about.words == command), None)
-
-
 def is_outdated(job: Job, runs: Sequence[Path]) -> bool:
     """Whether the weights of one of the runs have changed since the job began."""
     began_s = datetime.fromisoformat(job.about.began).timestamp()
