@@ -46,15 +46,18 @@ class ProjectFolders:
     _listings: StoreListings = field(default_factory=StoreListings, init=False, repr=False, compare=False)
 
     @property
+    def _all(self) -> list[Location]:
+        return [self.sessions, self.index, self.runs, self.drives]
+
+    @property
     def are_in_stores(self) -> bool:
         """Whether any of them is in a store."""
-        return any(isinstance(folder, Url) for folder in (self.sessions, self.index, self.runs, self.drives))
+        return any(isinstance(folder, Url) for folder in self._all)
 
     @property
     def are_new(self) -> bool:
         """True while none of them exists."""
-        every = (self.sessions, self.index, self.runs, self.drives)
-        return not any(isinstance(folder, Url) or folder.exists() for folder in every)
+        return not any(isinstance(folder, Url) or folder.exists() for folder in self._all)
 
     @property
     def parent(self) -> Path | None:
@@ -62,8 +65,8 @@ class ProjectFolders:
         if isinstance(self.sessions, Url):
             return None
         parent = self.sessions.parent
-        usual = (parent / name for name in ("sessions", "index", "runs", "drives"))
-        return parent if (self.sessions, self.index, self.runs, self.drives) == tuple(usual) else None
+        usual = [parent / name for name in ("sessions", "index", "runs", "drives")]
+        return parent if self._all == usual else None
 
     def flags(self, *names: str, to_store: str = "") -> list[str]:
         """The flags that name these folders for a command; none for the usual folders. `to_store` is the flag for
@@ -107,12 +110,12 @@ class ProjectFolders:
         """List a folder in a store again, if the last listing is some seconds old."""
         folder: Location = getattr(self, place)
         if isinstance(folder, Url):
-            self._listings.refresh(folder)
+            self._listings.of(folder).refresh()
 
     def problem(self, place: Place) -> str:
         """Why a folder's store does not answer, so that the list may be outdated; else ""."""
         folder: Location = getattr(self, place)
-        return self._listings.problem(folder) if isinstance(folder, Url) else ""
+        return self._listings.of(folder).problem if isinstance(folder, Url) else ""
 
     def finished(self, place: Place) -> dict[str, str]:
         """The names of a folder's finished logs for people, by their keys."""
@@ -172,7 +175,7 @@ class ProjectFolders:
 
     def refuse_unanswered(self, log: Location) -> None:
         """Raise StoreError for a log whose store did not answer the last request."""
-        if isinstance(log, Url) and (problem := self._listings.problem(log.parent)):
+        if isinstance(log, Url) and (problem := self._listings.of(log.parent).problem):
             raise StoreError(problem)
 
     @cached_property

@@ -83,13 +83,9 @@ class StoreListings:
         # objects that pages have changed since the last listing began, and when
         self._changed: dict[Url, tuple[float, StoredObject | None]] = {}
 
-    def refresh(self, folder: Url) -> None:
-        """List the folder again, if the last listing is some seconds old."""
-        self._listing(folder).refresh()
-
     def objects(self, folder: Url) -> Listing:
         """The objects directly in a folder, by the last listing."""
-        listed = self._listing(folder)
+        listed = self.of(folder)
         if listed.value is None:
             listed.refresh()
         with self._lock:
@@ -109,14 +105,11 @@ class StoreListings:
             with self._lock:
                 self._changed[url] = now_s, stored
 
-    def problem(self, folder: Url) -> str:
-        """Why there is no newer listing; empty if there is one."""
-        return self._listing(folder).problem
-
     def find(self, url: Url) -> StoredObject | None:
         return self.objects(url.parent).get(url)
 
-    def _listing(self, folder: Url) -> Refreshed[Listing]:
+    def of(self, folder: Url) -> Refreshed[Listing]:
+        """The listing of a folder."""
         with self._lock:
             if folder not in self._listed:
                 self._listed[folder] = Refreshed(str(folder), lambda before: self._list(folder))
