@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from common.errors import printable
 from common.stretches import stretches
@@ -115,25 +115,28 @@ def bins_of_index(index: Path) -> int:
 
 def split_sketch(index: Path, session: str) -> bytes:
     """A session's rows along time as an SVG: trained on, held out, or neither (grey)."""
-    frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
-    height, total = 14, max(1, len(frames))
+    _, splits = _splits(index, session)
+    height, total = 14, max(1, len(splits))
     parts = [f'<rect width="{_WIDTH}" height="{height}" fill="{_OTHER}"/>']
     for split, color in _COLORS.items():
-        mask = pc.equal(frames["split"].cast(pa.string()), split).fill_null(False).to_numpy(zero_copy_only=False)
         parts += [
             f'<rect x="{_WIDTH * first / total:.2f}" width="{_WIDTH * (last - first + 1) / total:.2f}"'
             f' height="{height}" fill="{color}"/>'
-            for first, last in stretches(mask)
+            for first, last in stretches(splits == split)
         ]
     return _svg(_WIDTH, height, parts)
 
 
 def held_out_rows(index: Path, session: str) -> list[tuple[int, int]]:
     """The first and last rows of the stretches of a session that are held out for validation."""
+    row, splits = _splits(index, session)
+    return [(int(row[first]), int(row[last])) for first, last in stretches(splits == "validation")]
+
+
+def _splits(index: Path, session: str) -> tuple[NDArray[np.int64], NDArray[np.str_]]:
+    """The rows (N,) of a session in order, and their splits (N,)."""
     frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet", ["row", "split"]).sort_by("row")
-    is_held_out = np.array(frames["split"].to_pylist()) == "validation"
-    row = frames["row"].to_numpy()
-    return [(int(row[first]), int(row[last])) for first, last in stretches(is_held_out)]
+    return frames["row"].to_numpy(), np.array([split or "" for split in frames["split"].to_pylist()], np.str_)
 
 
 def _svg(width: int, height: int, parts: Sequence[str]) -> bytes:
