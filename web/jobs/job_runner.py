@@ -26,16 +26,12 @@ _START: Final = "import sys; sys.path.append({root!r}); sys.argv[0] = {name!r}; 
 )
 
 
-def python_of(name: str, root: Path) -> list[str]:
-    """The beginning of the command line of a command of the toolkit, installed or not. `-P`: a `model.py` in the
-    current folder is not imported."""
-    return [sys.executable, "-P", "-c", _START.format(root=str(root), name=name, function=name.replace("-", "_"))]
-
-
-def run_job(folder: Path, root: Path) -> None:
-    """Run the command of the job in `folder`, and wait for it."""
-    about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-    words = about["words"]
+def main() -> None:
+    """Run the command of the job in the folder that the arguments name, and wait for it. The toolkit is in `root`,
+    installed or not."""
+    folder, root = Path(sys.argv[1]), sys.argv[2]
+    name, *words = json.loads((folder / ABOUT).read_text(encoding="utf-8"))["words"]
+    start = _START.format(root=root, name=name, function=name.replace("-", "_"))
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a command
     signal.signal(signal.SIGINT, _leave_to_the_command)
@@ -44,10 +40,9 @@ def run_job(folder: Path, root: Path) -> None:
         with os.fdopen(1, "wb") as parent:  # the pipe to the process that has started this one
             parent.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
-        line = [*python_of(words[0], root), *words[1:]]
         inherited = () if sys.platform == "win32" else (locked.fileno(),)
         done = subprocess.run(
-            line,
+            [sys.executable, "-P", "-c", start, *words],  # -P: a `model.py` in the current folder is not imported
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
@@ -63,7 +58,3 @@ def run_job(folder: Path, root: Path) -> None:
 def _leave_to_the_command(number: int, frame: FrameType | None) -> None:
     """Ctrl-C is for the command, which is in the same process group. The command does not inherit a handler, but
     would inherit SIG_IGN."""
-
-
-def main() -> None:
-    run_job(Path(sys.argv[1]), Path(sys.argv[2]))
