@@ -16,7 +16,7 @@ export function drawBands(plot, data, odd, selection, colors) {
   ctx.clip();
   drawTracks(ctx, data, odd, colors, box, lane);
   drawHatched(plot, data.state.not_learnt, colors.notLearnt);
-  drawBreaks(plot, data.breaks, colors.break, [bbox.top, bbox.height]);
+  drawBreaks(plot, data.breaks, colors.break);
   drawAll(ctx, selection, box, [[colors.selection, bbox.top, bbox.height]]);
   ctx.restore();
 }
@@ -70,8 +70,8 @@ function drawHatched(plot, stretches, color) {
 }
 
 /** A dashed line where another drive begins: after a pause, or where time goes back. */
-function drawBreaks(plot, breaks, color, [top, height]) {
-  const { ctx } = plot;
+function drawBreaks(plot, breaks, color) {
+  const { ctx, bbox } = plot;
   const { min, max } = plot.scales.x;
   ctx.strokeStyle = color;
   ctx.setLineDash([3 * devicePixelRatio, 3 * devicePixelRatio]);
@@ -81,8 +81,8 @@ function drawBreaks(plot, breaks, color, [top, height]) {
     if (at < min || at > max) continue;
     const left = Math.round(plot.valToPos(at - 0.5, "x", true)) + 0.5;
     if (left < reached + 2) continue;
-    ctx.moveTo(left, top);
-    ctx.lineTo(left, top + height);
+    ctx.moveTo(left, bbox.top);
+    ctx.lineTo(left, bbox.top + bbox.height);
     reached = left;
   }
   ctx.stroke();

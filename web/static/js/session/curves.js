@@ -164,13 +164,11 @@ export class Curves {
 
   selected(plot) {
     const { left, width } = plot.select;
-    if (!width || !plot.over.matches(":hover, :active")) {
-      if (width) plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
-      return;
-    }
+    if (!width) return;
+    const isHere = plot.over.matches(":hover, :active"); // else the mouse was dragged over the other plot
+    for (const drawn of isHere ? this.plots : [plot]) drawn.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
     const [first, last] = [left, left + width].map((at) => this.clamped(Math.round(plot.posToVal(at, "x"))));
-    for (const drawn of this.plots) drawn.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
-    this.onSelect({ first, last });
+    if (isHere) this.onSelect({ first, last });
   }
 
   clamped(position) {

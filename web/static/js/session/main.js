@@ -213,27 +213,25 @@ function showRows() {
 
 /** Look for frozen and broken pictures, which decodes all pictures. */
 async function checkPictures() {
-  by("look").disabled = true;
+  const button = by("look");
+  const onProgress = ({ pictures, total, is_begun: isBegun }) => {
+    const progress = pictures < total ? `looking: ${number(pictures)} of ${number(total)} pictures` : "comparing steering with pictures";
+    button.textContent = isBegun ? progress : "waiting for another check";
+  };
+  button.disabled = true;
   try {
-    showStatus(await checked());
+    await awaited(`${data.address}/look`, { isWanted: () => true, onProgress });
+    filter.use("");
+    const before = filter.groups.length;
+    await data.load();
+    const more = filter.groups.length - before;
+    const result = more > 0 ? `${more} more odd ${more === 1 ? "stretch" : "stretches"}` : "nothing more is odd";
+    showStatus(`looked at all pictures: ${result}`);
   } catch (error) {
     showStatus(error.message);
   }
-  by("look").textContent = LOOK;
-  by("look").disabled = false;
-}
-
-async function checked() {
-  const onProgress = ({ pictures, total, is_begun: isBegun }) => {
-    const progress = pictures < total ? `looking: ${number(pictures)} of ${number(total)} pictures` : "comparing steering with pictures";
-    by("look").textContent = isBegun ? progress : "waiting for another check";
-  };
-  await awaited(`${data.address}/look`, { isWanted: () => true, onProgress });
-  filter.use("");
-  const before = filter.groups.length;
-  await data.load();
-  const more = filter.groups.length - before;
-  return `looked at all pictures: ${more > 0 ? `${more} more odd ${more === 1 ? "stretch" : "stretches"}` : "nothing more is odd"}`;
+  button.textContent = LOOK;
+  button.disabled = false;
 }
 
 function setSpeed(speed) {

@@ -11,7 +11,6 @@ const share = (moved, full) => Math.min(Math.max(moved / full, -1), 1);
 export class Drag {
   steering = 0;
   throttle = 0;
-  isTouching = false;
   #pointer = null;
 
   /** `device`: "mouse", or "touch" for fingers and pens. `onChange` gets the event that has changed the steering. */
@@ -22,7 +21,6 @@ export class Drag {
       element.setPointerCapture(event.pointerId); // the pointer may leave the element
       const lock = Math.min(FULL_LOCK_PX, FINGER_LOCK_SHARE * element.clientWidth);
       this.#pointer = { id: event.pointerId, x: event.clientX, y: event.clientY, lock: device === "mouse" ? FULL_LOCK_PX : lock };
-      this.isTouching = true;
       onChange(event);
     });
     element.addEventListener("pointermove", (event) => {
@@ -44,6 +42,10 @@ export class Drag {
     element.addEventListener("contextmenu", (event) => this.isTouching && event.preventDefault());
   }
 
+  get isTouching() {
+    return this.#pointer !== null;
+  }
+
   get isSteering() {
     return this.isTouching;
   }
@@ -51,7 +53,6 @@ export class Drag {
   release() {
     this.#pointer = null;
     this.steering = this.throttle = 0;
-    this.isTouching = false;
   }
 
   advance() {

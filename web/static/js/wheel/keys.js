@@ -3,31 +3,22 @@
 
 const PER_S = 3;
 const SIDES = {
-  ArrowLeft: "left",
-  KeyA: "left",
-  ArrowRight: "right",
-  KeyD: "right",
-  ArrowUp: "up",
-  KeyW: "up",
-  ArrowDown: "down",
-  KeyS: "down",
+  ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down",
+  KeyA: "left", KeyD: "right", KeyW: "up", KeyS: "down",
 };
 
-class Axis {
-  value = 0;
-
-  advance(target, seconds) {
-    if (target * this.value < 0) this.value = 0;
-    const most = PER_S * seconds;
-    this.value += Math.min(Math.max(target - this.value, -most), most);
-  }
+/** A value after so many more seconds on its way to a target. */
+function moved(value, target, seconds) {
+  const from = target * value < 0 ? 0 : value;
+  const most = PER_S * seconds;
+  return from + Math.min(Math.max(target - from, -most), most);
 }
 
 export class Keys {
   device = "keyboard";
+  steering = 0;
+  throttle = 0;
   #held = new Set();
-  #steering = new Axis();
-  #throttle = new Axis();
 
   /** Whether a key, by its place on the keyboard, is for driving. */
   static drives(code) {
@@ -45,18 +36,16 @@ export class Keys {
   /** Release all keys. The steering is 0 at once, because a hidden page gets no frames. */
   release() {
     this.#held.clear();
-    this.#steering.value = this.#throttle.value = 0;
+    this.steering = this.throttle = 0;
   }
 
   /** Time has passed. */
   advance(seconds) {
     const sides = new Set([...this.#held].map((code) => SIDES[code]));
     const pull = (less, more) => sides.has(more) - sides.has(less);
-    this.#steering.advance(pull("left", "right"), seconds);
-    this.#throttle.advance(pull("down", "up"), seconds);
+    this.steering = moved(this.steering, pull("left", "right"), seconds);
+    this.throttle = moved(this.throttle, pull("down", "up"), seconds);
     this.isSteering = sides.has("left") || sides.has("right");
     this.isTouching = sides.size > 0;
-    this.steering = this.#steering.value;
-    this.throttle = this.#throttle.value;
   }
 }
