@@ -1,5 +1,5 @@
 """The check of all pictures of a log: it finds frozen and broken pictures, and steering that contradicts them. It
-is read from the index, or a process makes it on request."""
+is read from the index, or this module's process makes it on request."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from pathlib import Path
 
 from common.car import CAMERAS
 from common.files import session_name
+from common.location import location
 from dataset.frames.frame_flags import ImageFindings
-from dataset.frames.image_check_cache import read_image_check
+from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
+from recorder.log.kept_logs import bring_here
 from recorder.topics import camera_topic
+from web.errors import WebError
 from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork
+from web.processes.own_process import report, run_in_process
 
 
 class PictureChecks:
@@ -21,7 +25,7 @@ class PictureChecks:
     def __init__(self, index: Path, cache: Path) -> None:
         self._index = index
         self._kept = cache / "checks"
-        self.work = KeptWork(self._kept, "web.processes.picture_check_process", "it was stopped")
+        self.work = KeptWork(self._kept, "web.logs.picture_checks", "it was stopped")
 
     def findings(self, log: Log) -> ImageFindings | None:
         """The findings for a log's pictures; None if they were never checked. Findings of earlier versions lack
@@ -40,3 +44,23 @@ class PictureChecks:
         """Start a check, unless it is running."""
         pictures = sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS)
         self.work.start(log.fingerprint, pictures, [as_word(log.path), log.fingerprint])
+
+
+def main() -> None:
+    run_in_process(_check)
+
+
+def _check(path: str, fingerprint: str, result: str) -> None:
+    pictures = 0
+
+    def on_decoded(count: int) -> None:
+        nonlocal pictures
+        pictures += count
+        report(pictures=pictures)
+
+    with Log(location(path)) as log:
+        if log.fingerprint != fingerprint:
+            raise WebError("the log has been replaced since this page was opened: reload it")
+        bring_here([log])
+        findings = check_images(log, on_decoded)
+    write_image_check(Path(result).parent, fingerprint, fingerprint, findings)

@@ -1,1 +1,1 @@
-"""Work that separate processes do for pages: predictions, maps and checks of pictures, Rerun."""
+"""Work that separate processes do for pages: predictions, maps of pictures, Rerun."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -47,6 +48,12 @@ def reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
 def report(**values: object) -> None:
     """Report progress or a `problem` from the process to the server."""
     print_result(json.dumps(values))
+
+
+def counter(step: int = 1, **more: object) -> Callable[[], None]:
+    """A function that reports `step` pictures more at each call."""
+    counts = itertools.count(step, step)
+    return lambda: report(pictures=next(counts), **more)
 
 
 def run_in_process(work: Callable[..., object], niceness: int = 0) -> None:

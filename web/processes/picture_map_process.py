@@ -25,7 +25,7 @@ from recorder.rows.row_quality import States
 from web.errors import WebError
 from web.processes.kept_work import write_result
 from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
-from web.processes.own_process import report, run_in_process
+from web.processes.own_process import counter, report, run_in_process
 from web.processes.picture_maps import MapAbout
 
 _BATCH: Final = 64
@@ -59,14 +59,7 @@ def _work(max_points: str, run: str, *words: str) -> None:
     if not parts:
         raise WebError("; ".join(notes) or "no picture of the centre camera in these logs")
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    rounds = 0
-
-    def on_round() -> None:
-        nonlocal rounds
-        rounds += 1
-        report(stage="laid out", pictures=rounds, total=ROUNDS)
-
-    laid_out = neighbour_map(columns.pop("features"), on_round)
+    laid_out = neighbour_map(columns.pop("features"), counter(stage="laid out", total=ROUNDS))
     place = laid_out.place
     group = groups(place, _GROUPS)
     max_deg = angles.pop() if len(angles) == 1 else None

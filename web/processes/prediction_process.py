@@ -20,7 +20,7 @@ from model.metrics import measure
 from recorder.log_copy_cli import brought_here
 from web.errors import WebError
 from web.processes.kept_work import write_result
-from web.processes.own_process import report, run_in_process
+from web.processes.own_process import counter, run_in_process
 from web.processes.predictions import Measured, WorstMoment
 
 _WORST: Final = 30  # moments in the list
@@ -32,15 +32,8 @@ def main() -> None:
 
 
 def _work(log: str, run: str, fingerprint: str, result: str) -> None:
-    pictures = 0
-
-    def on_batch() -> None:
-        nonlocal pictures
-        pictures += BATCH
-        report(pictures=pictures)
-
     with brought_here([location(log)]) as (path,):
-        predictions = predict_log(path, [Path(run)], on_batch=on_batch)
+        predictions = predict_log(path, [Path(run)], on_batch=counter(BATCH))
     if predictions.about["log_fingerprint"] != fingerprint:
         raise WebError("the log has been replaced since this page was opened: reload it")
     [(name, predicted)] = predictions.predicted.items()
