@@ -109,7 +109,6 @@ class StoreListings:
         return self.objects(url.parent).get(url)
 
     def of(self, folder: Url) -> Refreshed[Listing]:
-        """The listing of a folder."""
         with self._lock:
             if folder not in self._listed:
                 self._listed[folder] = Refreshed(str(folder), lambda before: self._list(folder))

@@ -84,8 +84,6 @@ class Field:
 
 @dataclass(frozen=True)
 class JobForm:
-    """A kind of job."""
-
     name: str
     title: str
     about: str

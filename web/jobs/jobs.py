@@ -66,8 +66,6 @@ class About(msgspec.Struct):
 
 @dataclass(frozen=True)
 class Job:
-    """A command that was started here."""
-
     key: str
     folder: Path
     about: About
@@ -123,7 +121,6 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """Its duration so far."""
         began_s = datetime.fromisoformat(self.about.began).timestamp()
         try:
             end_s = (self.folder / EXIT).stat().st_mtime

@@ -58,8 +58,6 @@ class DriveView(msgspec.Struct, frozen=True):
 
 
 class DriveViews:
-    """The views of all drives."""
-
     def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
         self._folders = folders
         self._cache = cache

@@ -70,8 +70,6 @@ class SessionQuery:
 
 @dataclass(frozen=True)
 class Listed:
-    """The list of sessions."""
-
     cards: list[SessionCard]
     total: int
     reading: int  # logs that are not read yet

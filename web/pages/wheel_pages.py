@@ -62,7 +62,6 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse(address, status_code=303)
 
     def drive(request: Request) -> Response:
-        """The page of a running drive."""
         wheel = running(request.path_params["key"])
         place = place_of(wheel, bench.folders)
         after = _after(*place) if place else ""

@@ -24,8 +24,6 @@ _FORMAT: Final = 1
 
 
 class MapAbout(msgspec.Struct, frozen=True):
-    """The description of a map."""
-
     step: int  # every `step`-th picture is shown
     odd: list[str]  # the kinds of odd rows; the column `odd` has their numbers
     groups: list[int]  # the picture in the middle of each group
