@@ -1,19 +1,37 @@
-"""Maps on which similar pictures of logs lie near each other. A process makes them. The cache keeps them by the
-fingerprints of the logs and of the run whose network compares the pictures."""
+"""Maps on which similar pictures of logs lie near each other, by the features of a run's network or by their
+pixels. The cache keeps them by the fingerprints of the logs and of the run.
+
+A process of this module makes them. It runs no user's own network code.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import cv2
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
-from common.location import Location
+from common import UserError
+from common.errors import printable
+from common.location import Location, location
+from dataset.loader.log_crops import LogCrops
+from dataset.picture_spec import PictureSpec
+from dataset.preprocessing import Image
+from recorder.log_copy_cli import brought_here
+from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
+from recorder.rows.row_quality import States
+from web.errors import WebError
 from web.folders.project_folders import as_word
-from web.processes.kept_work import KeptWork, run_fingerprint
+from web.processes.kept_work import KeptWork, run_fingerprint, write_result
+from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
+from web.processes.own_process import counter, report, run_in_process
 
 COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
 """Float32 columns of the pictures. `x`, `y`: its place. `log`: the number of its log. `predicted`: NaN without
@@ -21,6 +39,11 @@ one. `nearest`, `alone`: distances to the most similar picture and to its neighb
 number of the kind of odd row, or -1."""
 MAX_POINTS: Final = 10_000
 _FORMAT: Final = 1
+_BATCH: Final = 64
+_PIXELS: Final = PictureSpec(width_px=64, height_px=32)
+_SHRUNK: Final = (16, 8)  # pixels of a crop: small movements hardly change them
+_GROUPS: Final = 24
+_NICENESS: Final = 5
 
 
 class MapAbout(msgspec.Struct, frozen=True):
@@ -44,7 +67,7 @@ class PictureMaps:
     """The maps that are kept, running and waiting."""
 
     def __init__(self, cache: Path) -> None:
-        self.work = KeptWork(cache / "maps", "web.processes.picture_map_process", "it was stopped")
+        self.work = KeptWork(cache / "maps", "web.processes.picture_maps", "it was stopped")
 
     def key(self, logs: Sequence[MappedLog], run: Path | None) -> str:
         """The key of a map. Raises WebError for a run without weights."""
@@ -64,3 +87,127 @@ class PictureMaps:
         """Start it, unless it is waiting or running."""
         pairs = [word for log in logs for word in (log.fingerprint, as_word(log.path))]
         self.work.start(key, 0, [str(MAX_POINTS), str(run.absolute()) if run else "", *pairs])
+
+
+def main() -> None:
+    run_in_process(_work, _NICENESS)
+
+
+def _work(max_points: str, run: str, *words: str) -> None:
+    *pairs, result = words
+    logs = list(zip(pairs[::2], pairs[1::2], strict=True))
+    notes: list[str] = []
+    parts: list[dict[str, NDArray[Any]]] = []  # of the columns
+    angles = set()
+    reader = _FeatureReader(Path(run) if run else None)
+    total = sum(_pictures(log) for _, log in logs)
+    step = max(1, -(-total // int(max_points)))
+    shown = 0
+    for number, (fingerprint, log) in enumerate(logs):
+        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (path,), LogCrops(path) as crops:
+            for part in _parts(crops, fingerprint, step, reader):
+                parts.append({**part, "log": np.full(len(part["row"]), number)})
+                shown += len(part["row"])
+                report(pictures=step * shown, total=total)
+            angles.add(crops.max_steering_deg)
+    if not parts:
+        raise WebError("; ".join(notes) or "no picture of the centre camera in these logs")
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    laid_out = neighbour_map(columns.pop("features"), counter(stage="laid out", total=ROUNDS))
+    place = laid_out.place
+    group = groups(place, _GROUPS)
+    max_deg = angles.pop() if len(angles) == 1 else None
+    about = MapAbout(step, list(ODD_KINDS), _middles(place, group), max_deg, notes)
+    write_result(
+        Path(result),
+        x=place[:, 0],
+        y=place[:, 1],
+        nearest=laid_out.nearest,
+        alone=laid_out.alone,
+        group=group,
+        about=np.frombuffer(msgspec.json.encode(about), np.uint8),
+        **columns,
+    )
+
+
+@contextlib.contextmanager
+def _skipped_if(notes: list[str], is_one_of_several: bool) -> Iterator[None]:
+    """Skip an unreadable log if there are others."""
+    try:
+        yield
+    except UserError as error:
+        if not is_one_of_several:
+            raise
+        notes.append(printable(str(error)))
+
+
+def _pictures(log: str) -> int:
+    try:
+        with brought_here([location(log)]) as (path,), LogCrops(path) as crops:
+            return len(crops)
+    except UserError:  # reported when its pictures are read
+        return 0
+
+
+class _FeatureReader:
+    """Computes features of crops, by a run's network or from their pixels."""
+
+    def __init__(self, run: Path | None) -> None:
+        self.spec = _PIXELS
+        self._network = None
+        if run is not None:
+            from model.runs.run_folder import load_network, picture_of_run  # loads PyTorch
+
+            self.spec = picture_of_run(run)
+            self._network = load_network(run).eval()
+
+    def features(self, crops: Image) -> tuple[Floats, NDArray[np.float64]]:
+        """Features (N, D) and predicted steering (N,) of crops (N, `spec.shape`); without a network, it is NaN.
+        Raises WebError for a network with numbers that are not finite."""
+        if self._network is None:
+            shrunk = [cv2.resize(crop, _SHRUNK, interpolation=cv2.INTER_AREA) for crop in crops]
+            pixels: Floats = np.array(shrunk, np.float32).reshape(len(crops), -1) / np.float32(255)
+            return pixels, np.full(len(crops), np.nan)
+        from dataset.prediction_targets import steering_in
+        from model.evaluation.predict import as_input
+        from model.network.inner_features import answers_and_features
+
+        answers, features = answers_and_features(self._network, as_input(crops))
+        if not (answers.isfinite().all() and features.isfinite().all()):
+            raise WebError("this run's network computes numbers that are not finite: train it again")
+        return features.numpy(), steering_in(answers.numpy().astype(np.float64))
+
+
+def _parts(
+    crops: LogCrops, fingerprint: str, step: int, reader: _FeatureReader
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """The features and the columns of every `step`-th picture of a log, in batches."""
+    odd, kinds = odd_stretches(States.of(crops.log.vehicle())), list(ODD_KINDS)
+    if crops.log.fingerprint != fingerprint:
+        name = crops.log.path.name
+        raise WebError(f"{name}: the log has changed: reload this page, or bring the index up to date")
+    for numbers, pictures in crops.batches(_BATCH, reader.spec, step):
+        if not len(numbers):
+            continue
+        features, predicted = reader.features(pictures)
+        row = crops.row[numbers]
+        kind = np.full(len(row), -1)
+        for stretch in reversed(odd):
+            kind[(row >= stretch.first_row) & (row <= stretch.last_row)] = kinds.index(stretch.kind)
+        yield {
+            "features": features,
+            "row": row,
+            "steering": crops.recorded[numbers],
+            "predicted": predicted,
+            "odd": kind,
+        }
+
+
+def _middles(place: Floats, group: NDArray[np.int32]) -> list[int]:
+    """For each group, the picture nearest to its middle."""
+    middles = []
+    for number in range(int(group.max()) + 1):
+        members = np.flatnonzero(group == number)
+        apart = ((place[members] - place[members].mean(0)) ** 2).sum(1)
+        middles.append(int(members[apart.argmin()]))
+    return middles

@@ -1,4 +1,8 @@
-"""The steering that a run predicts for a log. The cache keeps it by the fingerprints of both."""
+"""The steering that a run predicts for a log. The cache keeps it by the fingerprints of both.
+
+A process of this module predicts, because a network uses all processors for a while and would delay the pages. It
+runs no user's own network code.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +16,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from common.location import Location
+from common.errors import printable
+from common.location import Location, location
+from recorder.log_copy_cli import brought_here
+from web.errors import WebError
 from web.folders.project_folders import as_word
 from web.logs.drive_course import at_rows
-from web.processes.kept_work import KeptWork, run_fingerprint
+from web.processes.kept_work import KeptWork, run_fingerprint, write_result
+from web.processes.own_process import counter, run_in_process
 
 _FORMAT: Final = 1  # of the kept files
+_WORST: Final = 30  # moments in the list
+_NICENESS: Final = 5
 
 
 class WorstMoment(msgspec.Struct, frozen=True):
@@ -56,7 +66,7 @@ class Predictions:
 
     def __init__(self, cache: Path) -> None:
         stopped = "stopped; choose the run again to start anew"
-        self.work = KeptWork(cache / "predictions", "web.processes.prediction_process", stopped)
+        self.work = KeptWork(cache / "predictions", "web.processes.predictions", stopped)
 
     def key(self, log_fingerprint: str, run: Path) -> str:
         """The key of a prediction. Raises WebError for a run without weights."""
@@ -74,3 +84,34 @@ class Predictions:
 def _predicted(kept: Mapping[str, NDArray[Any]]) -> Predicted:
     about = msgspec.json.decode(kept["about"].tobytes(), type=Measured)
     return Predicted(about, kept["row"].astype(np.int64), kept["predicted"].astype(np.float64))
+
+
+def main() -> None:
+    run_in_process(_work, _NICENESS)
+
+
+def _work(log: str, run: str, fingerprint: str, result: str) -> None:
+    from model.evaluation.predict import BATCH  # these load PyTorch
+    from model.evaluation.predict_log import predict_log
+    from model.metrics import measure
+
+    with brought_here([location(log)]) as (path,):
+        predictions = predict_log(path, [Path(run)], on_batch=counter(BATCH))
+    if predictions.about["log_fingerprint"] != fingerprint:
+        raise WebError("the log has been replaced since this page was opened: reload it")
+    [(name, predicted)] = predictions.predicted.items()
+    is_recorded = np.isfinite(predictions.recorded)
+    measured = measure(predicted[is_recorded], predictions.recorded[is_recorded], max_deg=predictions.max_deg)
+    about = Measured(
+        frames=measured.frames,
+        rmse_deg=measured.network.rmse_deg if measured.frames else None,
+        mean_rmse_deg=measured.mean.rmse_deg if measured.frames else None,
+        max_deg=predictions.max_deg,
+        worst=[
+            WorstMoment(worst.row, worst.error_deg, worst.predicted_deg, worst.recorded_deg)
+            for worst in predictions.worst(name, _WORST)
+        ],
+        notes=[printable(line) for line in (*predictions.skipped.lines(), predictions.notice) if line],
+    )
+    encoded = np.frombuffer(msgspec.json.encode(about), np.uint8)
+    write_result(Path(result), row=predictions.row, predicted=predicted, about=encoded)

@@ -1,4 +1,5 @@
-"""Logs that are open in Rerun. For each, a process writes a recording file, which the viewer in the page reads.
+"""Logs that are open in Rerun. For each, a process of this module writes a recording file, which the viewer in the
+page reads.
 
 Rerun's viewer is a WebAssembly program that the `rerun` program serves. bc-web copies it to the cache once.
 """
@@ -20,15 +21,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from common import UserError
+from common import Skipped, UserError
 from common.errors import printable
 from common.interrupts import leave_signals_to_main_thread
-from common.location import Location, Url
+from common.location import Location, Url, location
 from common.versions import package_line, version_of
+from recorder.log_copy_cli import brought_here
 from web.errors import WebError, or_404
 from web.folders.cache_folder import CacheFolder
 from web.folders.project_folders import as_word
-from web.processes.own_process import reports, start_process
+from web.processes.own_process import report, reports, run_in_process, start_process
 
 MAX_OPEN: Final = 2
 """The logs that may be open at once. One more closes the oldest."""
@@ -60,7 +62,7 @@ class RerunViewer:
             self._folder = Path(self._temporary.name) / "recording"
             self._folder.mkdir()
             words = [as_word(log), str(self._folder / "log.rrd"), "growing" if is_growing else "finished"]
-            self._process = start_process("web.processes.rerun_process", words, self._temporary.name)
+            self._process = start_process("web.processes.rerun_viewers", words, self._temporary.name)
         except OSError as error:
             raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
         self._reader = threading.Thread(target=self._read, name="rerun", daemon=True)
@@ -214,3 +216,32 @@ def _files_of_viewer() -> dict[str, bytes]:
                     raise http.client.HTTPException(f"{name}: HTTP {answer.status}")
                 files[name] = answer.read()
     return files
+
+
+def main() -> None:
+    run_in_process(_work)
+
+
+def _work(log: str, rrd: str, kind: str) -> None:
+    from viz.live.follow import save_growing  # these load Rerun
+    from viz.playback.rerun_recording import prepare_log, save_prepared
+    from viz.viewer_process import SENDER_LOG
+
+    os.environ.setdefault("RUST_LOG", SENDER_LOG)
+    if kind == "growing":
+        followed = save_growing(Path(log), Path(rrd), keeps_up=True)
+        _report(followed.notice, *_skipped(followed.skipped))
+        return
+    with brought_here([location(log)]) as (path,), prepare_log(path) as prepared:
+        _report(*prepared.notices)
+        save_prepared(prepared, Path(rrd), overwrite=False)
+        _report(*_skipped(prepared.skipped))
+
+
+def _skipped(skipped: Skipped) -> list[str]:
+    return [f"skipped {line}" for line in skipped.lines()]
+
+
+def _report(*notes: str) -> None:
+    for note in filter(None, notes):
+        report(note=printable(note))
