@@ -14,7 +14,6 @@ from starlette.types import ASGIApp
 
 from web.folders.project_folders import PLACES, ProjectFolders
 from web.pages.bulk_page import bulk_routes
-from web.pages.changes import change_routes
 from web.pages.compare_page import compare_routes
 from web.pages.drives_page import drive_routes
 from web.pages.import_page import import_routes
@@ -31,7 +30,7 @@ from web.pages.session_page import session_routes
 from web.pages.sessions_page import session_list_routes
 from web.pages.wheel_pages import wheel_routes
 from web.pages.wheel_socket import wheel_socket_routes
-from web.pages.workbench import Workbench
+from web.pages.workbench import Workbench, change_routes
 from web.server.error_pages import HANDLERS
 from web.server.memory import TrimmedApp
 from web.server.request_guard import RequestGuard

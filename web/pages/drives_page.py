@@ -15,7 +15,6 @@ from common.errors import printable
 from web.folders.project_folders import key_of
 from web.logs.drive_map import MAX_ERROR_DEG, WAYS, drive_map
 from web.logs.drive_view import DriveView
-from web.pages.changes import drives_version
 from web.pages.workbench import Workbench
 from web.runs.run_colours import COLOURS, run_colours
 from web.server.templates import page
@@ -26,7 +25,7 @@ MAX_CHOSEN: Final = COLOURS
 
 def drive_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
-        live = drives_version(bench)  # before the drives are read, so that later changes are noticed
+        live = bench.drives_version()  # before the drives are read, so that later changes are noticed
         query = request.query_params
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         logs = bench.folders.logs("drives")

@@ -26,7 +26,6 @@ from model.runs.run_config import load_config
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, ProjectFolders, as_word, key_of
 from web.jobs.job_forms import in_one_field
-from web.pages.changes import runs_version
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
@@ -58,7 +57,7 @@ def run_routes(bench: Workbench) -> list[Route]:
         return Response(worst.jpegs[number], media_type="image/jpeg")
 
     def whole(request: Request) -> Response:
-        live, key = runs_version(bench), request.path_params["run"]
+        live, key = bench.runs_version(), request.path_params["run"]
         path = bench.folders.run(key)
         cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")

@@ -17,7 +17,6 @@ from common import UserError
 from common.errors import printable
 from model.runs.run_config import load_config
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
-from web.pages.changes import runs_version
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard
 from web.runs.run_colours import COLOURS, run_colours
@@ -49,7 +48,7 @@ class RunQuery:
 
 def run_list_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
-        live = runs_version(bench)  # before the runs are read
+        live = bench.runs_version()  # before the runs are read
         query = RunQuery.parse(request.query_params)
         cards = bench.runs.cards(PATIENCE_S)
         shown = _sorted([card for card in cards if _has_words(card, query.text)], query.sort)

@@ -20,7 +20,6 @@ from web.index.index_view import bins_of_index
 from web.jobs.job_forms import form_of
 from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import PLAIN_FLAGS, SURE
-from web.pages.changes import sessions_version
 from web.pages.workbench import Workbench
 from web.server.templates import page
 
@@ -83,7 +82,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse("/sessions")
 
     def whole(request: Request) -> Response:
-        live = sessions_version(bench)  # before the logs are read, so that later changes are noticed
+        live = bench.sessions_version()  # before the logs are read, so that later changes are noticed
         query = SessionQuery.parse(request.query_params)
         return page(
             "sessions.html",

@@ -6,8 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
 from common.location import Url
+from dataset.index.build_state import STATE_NAME
 from web.folders.cache_folder import CacheFolder
+from web.folders.file_versions import version_of
 from web.folders.project_folders import PLACES, ProjectFolders
 from web.index.index_trials import IndexTrials
 from web.jobs.jobs import Jobs
@@ -49,6 +55,19 @@ class Workbench:
         self.predictions = Predictions(cache)
         self.maps = PictureMaps(cache)
 
+    def sessions_version(self) -> str:
+        """A text that changes with the logs, their tags and the index, and when another log has been read."""
+        self.folders.refresh_index()
+        built = version_of(self.folders.local_index / STATE_NAME)
+        return f"{self.folders.version_of_folder('sessions')} {built} {self.cards.done + self.searches.done}"
+
+    def runs_version(self) -> str:
+        """A text that changes with every line that a training writes, and when another run has been read."""
+        return f"{self.runs.version()} {self.runs.done}"
+
+    def drives_version(self) -> str:
+        return f"{self.folders.version_of_folder('drives')} {self.cards.done + self.drives.done}"
+
     def close(self) -> None:
         self.viewers.close()
         self.predictions.work.close()
@@ -58,3 +77,19 @@ class Workbench:
             pool.shutdown(cancel_futures=True)
         self.runs.close()
         self.logs.close()
+
+
+def change_routes(bench: Workbench) -> list[Route]:
+    def changes(request: Request) -> Response:
+        """The versions of the lists. A page requests its list again when the version has changed."""
+        bench.logs.drop_changed()
+        return JSONResponse(
+            {
+                "sessions": bench.sessions_version(),
+                "runs": bench.runs_version(),
+                "drives": bench.drives_version(),
+                "jobs": bench.jobs.version(),
+            }
+        )
+
+    return [Route("/changes", changes)]
