@@ -16,20 +16,10 @@ STEPS: Final = 6  # classes of speeds and errors, from zero to the largest
 MAX_ERROR_DEG: Final = 12.0  # of steering; larger errors are in the last class, too
 _MARGIN: Final = 0.04
 
-
-@dataclass(frozen=True)
-class Stroke:
-    """A part of a path in one colour: its class in the style sheet, and its points."""
-
-    style: str
-    points: str
-
-
-@dataclass(frozen=True)
-class EventPlace:
-    x: float
-    y: float
-    event: DriveEvent
+Stroke = tuple[str, str]
+"""A part of a path in one colour: its class in the style sheet, and its points."""
+EventPlace = tuple[float, float, DriveEvent]
+"""x and y of an event."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +61,7 @@ def _strokes(drive: DriveView, colour: int, by: str, fastest: float) -> list[Str
         pairs = list(part)
         places = [pairs[0][0], *(pair[1] for pair in pairs)]
         points = " ".join(f"{place.x_m:.2f},{-place.y_m:.2f}" for place in places)
-        strokes.append(Stroke(name, points))
+        strokes.append((name, points))
     return strokes
 
 
@@ -85,5 +75,5 @@ def _places(drive: DriveView) -> list[EventPlace]:
     for event in drive.events:
         before = [place for place in drive.path if place.row <= event.row] or drive.path[:1]
         if event.is_intervention and before:
-            places.append(EventPlace(before[-1].x_m, -before[-1].y_m, event))
+            places.append((before[-1].x_m, -before[-1].y_m, event))
     return places
