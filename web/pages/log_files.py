@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from starlette.requests import Request
@@ -35,28 +36,27 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def path_of(request: Request) -> Location:
         return bench.folders.log(place, request.path_params["log"])
 
-    def strip(request: Request) -> Response:
+    def cached(request: Request, kind: str, make: Callable[[OpenLog], bytes], media_type: str) -> Response:
         path = path_of(request)
         version = bench.folders.version_of_log(path)
 
-        def make() -> bytes:
+        def made() -> bytes:
             with bench.logs.open(path) as opened:
-                return film_strip(opened.log)
+                return make(opened)
 
-        data = bench.cache.get(f"strip 1 {absolute(path)} {version}", make)
-        return Response(data, media_type="image/jpeg", headers=_kept(request, version))
+        data = bench.cache.get(f"{kind} {absolute(path)} {version}", made)
+        return Response(data, media_type=media_type, headers=_kept(request, version))
+
+    def strip(request: Request) -> Response:
+        return cached(request, "strip 1", lambda opened: film_strip(opened.log), "image/jpeg")
 
     def sketch(request: Request) -> Response:
-        path = path_of(request)
-        version = bench.folders.version_of_log(path)
         bins = bins_of_index(bench.folders.local_index)
 
-        def make() -> bytes:
-            with bench.logs.open(path) as opened:
-                return steering_sketch(opened.states.steering, bins)
+        def make(opened: OpenLog) -> bytes:
+            return steering_sketch(opened.states.steering, bins)
 
-        data = bench.cache.get(f"sketch 3 {bins} {absolute(path)} {version}", make)
-        return Response(data, media_type="image/svg+xml", headers=_kept(request, version))
+        return cached(request, f"sketch 3 {bins}", make, "image/svg+xml")
 
     def picture(request: Request) -> Response:
         with bench.logs.open(path_of(request)) as opened:
