@@ -17,6 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -100,14 +101,8 @@ class RerunViewer:
                     return path.open("rb")
         return None
 
-    def end(self, reason: str = "") -> threading.Thread:
-        """Start to close the log. The returned thread ends when the process has ended."""
-        self.problem = self.problem or reason or "Rerun has ended; open it again"
-        ending = threading.Thread(target=self._end, name="rerun ends")
-        ending.start()
-        return ending
-
-    def _end(self) -> None:
+    def close(self) -> None:
+        """Wait until the process has ended."""
         leave_signals_to_main_thread()
         assert self._process.stdin is not None  # noqa: S101
         with contextlib.suppress(OSError):
@@ -140,7 +135,7 @@ class RerunViewers:
         self._lock = threading.Lock()
         self._fetching = threading.Lock()
         self._open: dict[str, RerunViewer] = {}  # the oldest first
-        self._endings: list[threading.Thread] = []
+        self._closing = ThreadPoolExecutor(thread_name_prefix="rerun ends")
 
     def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
         """Open a log. Raises WebError if Rerun is not installed or does not start."""
@@ -163,8 +158,8 @@ class RerunViewers:
     def end(self, viewer: RerunViewer, reason: str = "") -> None:
         with self._lock:
             if self._open.pop(viewer.key, None) is not None:
-                self._endings = [thread for thread in self._endings if thread.is_alive()]
-                self._endings.append(viewer.end(reason))
+                viewer.problem = viewer.problem or reason or "Rerun has ended; open it again"
+                self._closing.submit(viewer.close)
 
     def file(self, name: str) -> bytes:
         """One of the viewer's `FILES`. Raises WebError if Rerun does not serve it."""
@@ -185,8 +180,7 @@ class RerunViewers:
             viewers = list(self._open.values())
         for viewer in viewers:
             self.end(viewer)
-        for ending in self._endings:
-            ending.join()
+        self._closing.shutdown()
 
 
 def viewer_version() -> str:
