@@ -18,6 +18,7 @@ from common.files import PART_SUFFIX, session_name
 from common.location import absolute
 from dataset.index.build_state import read_state
 from model.runs.run_files import CONFIG, WEIGHTS
+from recorder.log.tags import Tag
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
@@ -122,10 +123,9 @@ def _indexed_logs(bench: Workbench) -> list[MappedLog]:
 
 def _log_data(bench: Workbench, log: MappedLog) -> dict[str, object]:
     """The data of a log for the page: the address of its pictures, and its present tags."""
-    tags: list[tuple[int, int, str]] = []
+    tags: list[Tag] = []
     with contextlib.suppress(UserError):  # the log's own page shows it
-        for tag in bench.cards.tags(log.path, log.fingerprint).tags:
-            tags.append((tag.first_row, tag.last_row, tag.name))
+        tags = bench.cards.tags(log.path, log.fingerprint).tags
     return {
         "at": log.at,
         "name": shown_name(log.path),
