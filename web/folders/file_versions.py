@@ -42,15 +42,15 @@ class Newest(Generic[Place, Value]):
 
 def version_of(*paths: Path) -> str:
     """The version of files: it changes when one of them is written, replaced or removed."""
-    digest = hashlib.sha256()
-    for path in paths:
-        try:
-            status = path.stat()
-        except OSError:
-            digest.update(b"none;")
-        else:
-            digest.update(f"{status.st_dev},{status.st_ino},{status.st_size},{status.st_mtime_ns};".encode())
-    return digest.hexdigest()[:16]
+    return digest(map(_state, paths))
+
+
+def _state(path: Path) -> str:
+    try:
+        status = path.stat()
+    except OSError:
+        return "none"
+    return f"{status.st_dev},{status.st_ino},{status.st_size},{status.st_mtime_ns}"
 
 
 def version_of_growing(path: Path) -> str:
@@ -64,33 +64,28 @@ def version_of_growing(path: Path) -> str:
 
 def version_of_stats(stats: Iterable[tuple[Location, Stat]]) -> str:
     """The version of objects in a store, by their sizes and ETags."""
-    digest = hashlib.sha256()
-    for place, stat in stats:
-        digest.update(f"{place},{stat};".encode())
-    return digest.hexdigest()[:16]
+    return digest(f"{place},{stat}" for place, stat in stats)
 
 
 def version_of_folder(folder: Path) -> str:
     """The version of a folder: its names, sizes and times, without subfolders; "" without a folder."""
-    digest = hashlib.sha256()
     try:
         with os.scandir(folder) as entries:
-            for line in sorted(_lines(entries)):
-                digest.update(line)
+            return digest(sorted(map(_line, entries)))
     except OSError:
         return ""
-    return digest.hexdigest()[:16]
 
 
-def _lines(entries: Iterable[os.DirEntry[str]]) -> Iterable[bytes]:
-    for entry in entries:
-        name = os.fsencode(entry.name)
-        try:
-            status = entry.stat()
-        except OSError:  # deleted meanwhile, or a broken link
-            yield name
-            continue
-        if entry.name.endswith(PART_SUFFIX):
-            yield b"%s,%d" % (name, status.st_size >> _GROWING_STEP)
-        else:
-            yield b"%s,%d,%d" % (name, status.st_size, status.st_mtime_ns)
+def digest(lines: Iterable[str]) -> str:
+    """A short text that changes with these lines."""
+    return hashlib.sha256(os.fsencode("\n".join(lines))).hexdigest()[:16]
+
+
+def _line(entry: os.DirEntry[str]) -> str:
+    try:
+        status = entry.stat()
+    except OSError:  # deleted meanwhile, or a broken link
+        return entry.name
+    if entry.name.endswith(PART_SUFFIX):
+        return f"{entry.name},{status.st_size >> _GROWING_STEP}"
+    return f"{entry.name},{status.st_size},{status.st_mtime_ns}"

@@ -32,7 +32,7 @@ from common.locks import is_being_written
 from common.untrusted import real_path
 from common.untrusted_json import json_as
 from web.errors import WebError, or_404
-from web.folders.file_versions import version_of
+from web.folders.file_versions import digest, version_of
 from web.jobs.job_forms import FORMS
 from web.jobs.job_runner import ABOUT, EXIT, LOCK, OUTPUT, READY
 
@@ -163,11 +163,10 @@ class Jobs:
 
     def version(self) -> str:
         """A text that changes when a job starts, prints or ends."""
-        digest = hashlib.sha256()
-        for job in self.all():
-            version = version_of(job.folder / OUTPUT, job.folder / EXIT)
-            digest.update(f"{job.key} {version} {job.is_running};".encode())
-        return digest.hexdigest()[:16]
+        return digest(
+            f"{job.key} {version_of(job.folder / OUTPUT, job.folder / EXIT)} {job.is_running}"
+            for job in self.all()
+        )
 
     def training(self, page: str) -> Job | None:
         """The running training of the run with that page."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.folders.background import Background
-from web.folders.file_versions import Newest
+from web.folders.file_versions import Newest, digest
 from web.folders.project_folders import ProjectFolders, key_of
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
@@ -70,11 +69,9 @@ class RunCards:
 
     def version(self) -> str:
         """A text that changes with every file that a training or an evaluation writes."""
-        digest = hashlib.sha256()
-        for path in self._folders.run_folders().values():
-            version = self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING))
-            digest.update(version.encode() + bytes([is_being_trained(path)]))
-        return digest.hexdigest()[:16] + self._folders.runs_problem
+        runs = self._folders.run_folders().values()
+        versions = [self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING)) for path in runs]
+        return digest([*versions, *(str(is_being_trained(path)) for path in runs)]) + self._folders.runs_problem
 
     def cards(self, patience_s: float) -> list[RunCard]:
         """The cards of all runs, by name. Those not read within `patience_s` have no `summary` yet."""
