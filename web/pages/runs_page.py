@@ -19,8 +19,7 @@ from model.runs.run_config import load_config
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard
-from web.runs.run_colours import COLOURS, run_colours
-from web.runs.run_curves import Line, run_curves
+from web.runs.run_curves import COLOURS, Line, run_colours, run_curves
 from web.runs.run_settings import differing, settings_of
 from web.server.templates import page
 

@@ -1,10 +1,11 @@
-"""The curves of a training. x is in epochs, so that runs of any size can be compared."""
+"""The curves of a training, and the colours of runs. x is in epochs, so that runs of any size can be compared."""
 
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from model.runs.history import History
@@ -12,7 +13,9 @@ if TYPE_CHECKING:
 
 Line = tuple[list[float], list[float | None]]  # x and y; None for a missing number
 
-_MAX_STEPS = 2000
+_MAX_STEPS: Final = 2000
+COLOURS: Final = 8
+"""The number of colours in the style sheet (`--series-0` and so on)."""
 
 
 def run_curves(history: History) -> dict[str, Line]:
@@ -60,3 +63,14 @@ def _share(value: float, whole: float) -> float:
 
 def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def run_colours(names: Iterable[str]) -> dict[str, int]:
+    """A number from 0 to `COLOURS` - 1 for each run, which hardly depends on the other names. Up to `COLOURS` runs
+    get different numbers: of two runs with the same one, the later by name gets another."""
+    colours = dict[str, int]()
+    for name in sorted(set(names)):
+        first = zlib.crc32(name.encode()) % COLOURS
+        numbers = [(first + step) % COLOURS for step in range(COLOURS)]
+        colours[name] = next((number for number in numbers if number not in colours.values()), first)
+    return colours
