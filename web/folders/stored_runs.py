@@ -37,29 +37,28 @@ class StoredRuns(Refreshed[None]):
             return dict(sorted(self._runs.items(), key=lambda item: item[1].name))
 
     def url(self, run: Path) -> Url | None:
-        with self._runs_lock:
-            stored = self._runs.get(run)
+        stored = self._stored(run)
         return stored.url if stored else None
 
     def version(self, run: Path, names: Sequence[str]) -> str:
         """The version of these files of a run, by the last listing."""
-        with self._runs_lock:
-            stored = self._runs.get(run)
+        stored = self._stored(run)
         files = [stored.files.get(name) for name in names] if stored else []
         return version_of_stats((file.url, (file.size, file.version)) for file in files if file is not None)
 
     def bring(self, run: Path, names: Sequence[str]) -> None:
         """Fetch these files if they have changed since the last time. Raises StoreError."""
-        version = self.version(run, names)
-        with self._runs_lock:
-            stored = self._runs.get(run)
-            if stored is None or self._other_files.get((run, tuple(names))) == version:
-                return
+        version, stored = self.version(run, names), self._stored(run)
+        if stored is None or self._other_files.get((run, tuple(names))) == version:
+            return
         from model.runs.runs_in_store import bring_run
 
         bring_run(stored, names)
+        self._other_files[run, tuple(names)] = version
+
+    def _stored(self, run: Path) -> RunInStore | None:
         with self._runs_lock:
-            self._other_files[run, tuple(names)] = version
+            return self._runs.get(run)
 
     def _bring_changed(self, before: None) -> None:
         from model.runs.runs_in_store import bring_summary, runs_in_store
