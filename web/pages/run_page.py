@@ -270,25 +270,26 @@ def _worst(
     epoch = kept if (number := whole_number(requested)) is None else number
     if epoch not in by_epoch and by_epoch:
         epoch = max(by_epoch)
+    worst = by_epoch.get(epoch)
+    max_deg = worst.max_deg if worst else None
     frames = []
-    for number, frame in enumerate(by_epoch[epoch].frames) if epoch in by_epoch else ():
+    for number, frame in enumerate(worst.frames) if worst else ():
         address = _page_of(pages, frame.session)
         frames.append(
             {
                 "picture": f"/runs/{card.key}/worst/{epoch}/{number}.jpg",
                 "session": printable(frame.session),
                 "frame": frame,
-                "predicted": _end_of_line(frame.predicted_deg, by_epoch[epoch].max_deg),
-                "recorded": _end_of_line(frame.recorded_deg, by_epoch[epoch].max_deg),
+                "predicted": _end_of_line(frame.predicted_deg, max_deg),
+                "recorded": _end_of_line(frame.recorded_deg, max_deg),
                 "address": f"{address}#row={frame.row}&run={card.key}" if address else "",
             }
         )
     measures = next((measured.measures for measured in history.epochs if measured.epoch == epoch), None)
-    unit = steering_unit(by_epoch[epoch].max_deg) if epoch in by_epoch else DEGREES
     return {
         "worst": frames,
         "bins": bin_bars(measures) if measures else None,
-        "worst_unit": unit,
+        "worst_unit": steering_unit(max_deg) if worst else DEGREES,
         "epochs": list(by_epoch),
         "epoch": epoch,
         "kept": kept,
