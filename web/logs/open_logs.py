@@ -44,10 +44,6 @@ class OpenLog:
         """The vehicle states, one for each row; empty for a log without them."""
         return states_of(self.log)
 
-    @cached_property
-    def first_time_ns(self) -> int:
-        return int(self.states.time_ns[0]) if len(self.states.time_ns) else 0
-
 
 class OpenLogs:
     """The logs used last. A dropped log is closed when no request uses it any more: otherwise another file might

@@ -16,7 +16,7 @@ from recorder.topics import camera_topic
 from web.errors import WebError
 from web.logs.session_cards import SessionCard
 from web.logs.session_stretches import not_dealt_with, stretches_of_kind, stretches_of_rows
-from web.pages.sessions_page import SessionQuery, kind_of, list_sessions
+from web.pages.sessions_page import SessionQuery, list_sessions
 from web.pages.tagging import Action, Stretches, TagChange, change_tags, on_change
 from web.pages.workbench import Workbench
 
@@ -41,7 +41,7 @@ def bulk_routes(bench: Workbench) -> list[Route]:
     def stretches(request: Request) -> Response:
         """The stretches of a query that are neither excluded nor fine, in each finished log."""
         query = SessionQuery.parse(request.query_params)
-        if not kind_of(query) and not query.where:
+        if not query.kind and not query.where:
             raise WebError("choose a kind of odd rows, or enter a condition", 422)
         listed = list_sessions(bench, query, patience_s=None)
         if listed.where_problem:
@@ -82,7 +82,7 @@ def _stretches(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict
         if query.where:
             rows = stretches_of_rows(opened, bench.searches.numbers(query.where, card.path))
         else:
-            rows = stretches_of_kind(opened, bench.checks, kind_of(query))
+            rows = stretches_of_kind(opened, bench.checks, query.kind)
         cameras = [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)]
         return {
             "key": card.key,

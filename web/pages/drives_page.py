@@ -20,7 +20,6 @@ from web.runs.run_curves import COLOURS, run_colours
 from web.server.templates import page
 
 _PATIENCE_S: Final = 0.5
-MAX_CHOSEN: Final = COLOURS
 
 
 def drive_routes(bench: Workbench) -> list[Route]:
@@ -29,7 +28,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
         query = request.query_params
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         logs = bench.folders.logs("drives")
-        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in logs][:MAX_CHOSEN]
+        chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in logs][:COLOURS]
         views = bench.drives.views(logs.values(), _PATIENCE_S)
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()

@@ -70,7 +70,8 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
         path = bench.folders.log(place, request.path_params["log"])
         is_growing = is_recording(path)
         with bench.logs.open(path) as opened:
-            late_s = 1e-9 * (opened.first_time_ns - opened.log.time_range_ns[0])
+            first_ns = int(next(iter(opened.states.time_ns), 0))
+            late_s = 1e-9 * (first_ns - opened.log.time_range_ns[0])
 
         async def lines() -> AsyncIterator[str]:
             viewer = None

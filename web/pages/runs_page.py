@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from starlette.datastructures import QueryParams
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -25,38 +23,22 @@ from web.server.templates import page
 
 PATIENCE_S: Final = 1.0
 """Time for runs that are being read."""
-MAX_CHOSEN: Final = COLOURS
-"""Runs whose curves can lie over each other."""
-
-
-@dataclass(frozen=True)
-class RunQuery:
-    """The values of the form above the list."""
-
-    text: str
-    sort: str
-    chosen: tuple[str, ...]  # keys of runs
-
-    @classmethod
-    def parse(cls, query: QueryParams) -> RunQuery:
-        """The query of an address, without invalid values."""
-        sort = query.get("sort", "newest")
-        chosen = tuple(dict.fromkeys(query.getlist("run")))[:MAX_CHOSEN]
-        return cls(query.get("text", "").strip(), sort if sort in SORTED_BY else "newest", chosen)
 
 
 def run_list_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = bench.runs_version()  # before the runs are read
-        query = RunQuery.parse(request.query_params)
+        text, sort = (request.query_params.get(name, "").strip() for name in ("text", "sort"))
+        sort = sort if sort in SORTED_BY else "newest"
         cards = bench.runs.cards(PATIENCE_S)
-        shown = _sorted([card for card in cards if _has_words(card, query.text)], query.sort)
+        shown = _sorted([card for card in cards if _has_words(card, text)], sort)
         summaries = [card.summary for card in shown if card.summary]
-        chosen = _chosen(query)
+        chosen = _chosen(request)
         return page(
             "runs.html",
             live=live,
-            query=query,
+            text=text,
+            sort=sort,
             sorts=list(SORTED_BY),
             cards=shown,
             marks=marks_of_splits(summaries),
@@ -74,7 +56,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
     def curves(request: Request) -> Response:
         """The lines of each readable chosen run."""
         runs = []
-        chosen = _chosen(RunQuery.parse(request.query_params))
+        chosen = _chosen(request)
         colours = run_colours(path.name for path in chosen.values())
         for key, path in chosen.items():
             lines: dict[str, Line] = {}
@@ -83,9 +65,11 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             runs.append({"key": key, "name": printable(path.name), "lines": lines, "colour": colours[path.name]})
         return JSONResponse(runs)
 
-    def _chosen(query: RunQuery) -> dict[str, Path]:
+    def _chosen(request: Request) -> dict[str, Path]:
+        """The chosen runs, at most as many as there are colours."""
         folders = bench.folders.run_folders()
-        return {key: folders[key] for key in query.chosen if key in folders}
+        keys = list(dict.fromkeys(request.query_params.getlist("run")))[:COLOURS]
+        return {key: folders[key] for key in keys if key in folders}
 
     return [Route("/runs", whole), Route("/runs.curves", curves)]
 

@@ -50,10 +50,15 @@ ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
 class SessionQuery:
     """The values of the form above the list."""
 
-    text: str = ""
-    sort: str = "newest"
-    only: str = "all"
-    where: str = ""
+    text: str
+    sort: str
+    only: str
+    where: str
+
+    @property
+    def kind(self) -> str:
+        """The kind of odd rows that the list is limited to; "" for none."""
+        return KINDS.get(self.only, "")
 
     @classmethod
     def parse(cls, query: Mapping[str, str]) -> SessionQuery:
@@ -78,9 +83,6 @@ class Listed:
 
 
 def session_list_routes(bench: Workbench) -> list[Route]:
-    def front(request: Request) -> Response:
-        return RedirectResponse("/sessions")
-
     def whole(request: Request) -> Response:
         live = bench.sessions_version()  # before the logs are read, so that later changes are noticed
         query = SessionQuery.parse(request.query_params)
@@ -98,12 +100,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             problem=bench.folders.problem("sessions"),
         )
 
-    return [Route("/", front), Route("/sessions", whole)]
-
-
-def kind_of(query: SessionQuery) -> str:
-    """The kind of odd rows that the list is limited to; "" for none."""
-    return KINDS.get(query.only, "")
+    return [Route("/", lambda request: RedirectResponse("/sessions")), Route("/sessions", whole)]
 
 
 def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | None = _PATIENCE_S) -> Listed:
