@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from urllib.parse import parse_qsl
 
 from starlette.concurrency import run_in_threadpool
@@ -40,6 +40,12 @@ async def _form_values(request: Request) -> Values:
         return Values(parse_qsl(text, keep_blank_values=True, max_num_fields=_MAX_FIELDS))
     except ValueError as error:
         raise WebError(f"not a form: {error}", 422) from None
+
+
+def has_words(text: str, words: Iterable[str]) -> bool:
+    """Whether these words contain all words of a text of the user, in any case."""
+    lower = " ".join(words).casefold()
+    return all(word in lower for word in text.casefold().split())
 
 
 def number_in(request: Request, part: str) -> int:

@@ -15,6 +15,7 @@ from common import UserError
 from common.errors import printable
 from model.runs.run_config import load_config
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
+from web.pages.request_values import has_words
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard
 from web.runs.run_curves import COLOURS, Line, run_colours, run_curves
@@ -31,7 +32,7 @@ def run_list_routes(bench: Workbench) -> list[Route]:
         text, sort = (request.query_params.get(name, "").strip() for name in ("text", "sort"))
         sort = sort if sort in SORTED_BY else "newest"
         cards = bench.runs.cards(PATIENCE_S)
-        shown = _sorted([card for card in cards if _has_words(card, text)], sort)
+        shown = _sorted([card for card in cards if has_words(text, _words(card))], sort)
         summaries = [card.summary for card in shown if card.summary]
         chosen = _chosen(request)
         return page(
@@ -100,10 +101,7 @@ def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:
     return [by_summary[id(summary)] for summary in ordered] + [card for card in cards if not card.summary]
 
 
-def _has_words(card: RunCard, text: str) -> bool:
-    """Whether all words of the text are in the run's name, state, network, recipe or sessions."""
-    words = [card.name, card.state]
-    if card.summary:
-        words += [card.summary.network, card.summary.recipe, *card.summary.sessions]
-    lower = " ".join(words).casefold()
-    return all(word in lower for word in text.casefold().split())
+def _words(card: RunCard) -> list[str]:
+    """The words by which a run is found."""
+    run = card.summary
+    return [card.name, card.state, *([run.network, run.recipe, *run.sessions] if run else [])]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ from web.index.index_view import bins_of_index
 from web.jobs.job_forms import form_of
 from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import PLAIN_FLAGS, SURE
+from web.pages.request_values import has_words
 from web.pages.workbench import Workbench
 from web.server.templates import page
 
@@ -107,7 +108,7 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
     """The sessions that match the query, in its order, as far as they are read within `patience_s`; None waits for
     all."""
     cards = bench.cards.cards("sessions", patience_s)
-    chosen = [card for card in cards if ONLY[query.only](card) and _has_words(card, query.text.casefold())]
+    chosen = [card for card in cards if ONLY[query.only](card) and has_words(query.text, _words(card))]
     rows: dict[str, int] = {}
     searched: int | None = None
     problem = ""
@@ -134,12 +135,7 @@ def _has_kind(card: SessionCard, kind: str) -> bool:
     return kind in card.flags
 
 
-def _has_words(card: SessionCard, text: str) -> bool:
-    """Whether all words of the text are in the session's name, tags, flags, states or metadata."""
-    if not text:
-        return True
-    words: Sequence[str] = (card.name, *card.tags, *card.flags, card.index.state, card.state)
-    if card.info:
-        words = (*words, card.info.start, *card.info.session.values())
-    lower = " ".join(words).casefold()
-    return all(word in lower for word in text.split())
+def _words(card: SessionCard) -> list[str]:
+    """The words by which a session is found."""
+    metadata = [card.info.start, *card.info.session.values()] if card.info else []
+    return [card.name, *card.tags, *card.flags, card.index.state, card.state, *metadata]
