@@ -191,7 +191,8 @@ class Jobs:
         with self._lock:
             if records and any(job.is_running and job.about.made == made for job in self.all()):
                 raise WebError("a job that records a log of this name is running: give another name", 409)
-            self._tidy()
+            for ended in [job for job in self.all() if not job.is_running][_KEPT:]:
+                shutil.rmtree(ended.folder, ignore_errors=True)
             folder.mkdir(parents=True)
             about = About(list(words), now.isoformat(), made, form, dict(values))
             (folder / ABOUT).write_bytes(msgspec.json.encode(about))
@@ -231,10 +232,6 @@ class Jobs:
                     if about := json_as((folder / ABOUT).read_bytes(), About):
                         datetime.fromisoformat(about.began)
                         yield _job(folder, about)
-
-    def _tidy(self) -> None:
-        for job in [job for job in self.all() if not job.is_running][_KEPT:]:
-            shutil.rmtree(job.folder, ignore_errors=True)
 
 
 def _is_ready(stream: IO[bytes]) -> bool:

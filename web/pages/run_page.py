@@ -24,7 +24,7 @@ from model.config import TrainConfig
 from model.runs.network_of_run import is_own_network
 from model.runs.run_config import load_config
 from web.errors import WebError, or_404
-from web.folders.project_folders import PLACES, ProjectFolders, as_word, key_of
+from web.folders.project_folders import PLACES, as_word, key_of
 from web.jobs.job_forms import in_one_field
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
@@ -61,7 +61,9 @@ def run_routes(bench: Workbench) -> list[Route]:
         path = bench.folders.run(key)
         cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")
-        pages, config = _log_pages(bench.folders), None
+        # a session goes before a drive with the same key
+        pages = {key: f"/{place}/{key}" for place in reversed(PLACES) for key in bench.folders.logs(place)}
+        config = None
         with contextlib.suppress(UserError):  # damaged, or changed meanwhile
             config = load_config(path)
         again = _again(bench, card, config)
@@ -78,7 +80,11 @@ def run_routes(bench: Workbench) -> list[Route]:
             sessions=_sessions(pages, card),
             is_of_index=_is_of_index(path, bench.folders.local_index),
             results=_results(pages, card),
-            drives=_drives(bench, path.name),
+            drives=[
+                (drive.name, f"/drives/{drive.key}")
+                for drive in bench.cards.cards("drives", 0.3)
+                if drive.info and drive.info.session.get("run") == path.name
+            ],
             scatter_logs=_scatter_logs(bench, pages, card),
             **_worst(bench, pages, path, card, request.query_params.get("epoch", "")),
         )
@@ -197,11 +203,6 @@ def _end_of_line(steering_deg: float, max_deg: float | None) -> str:
     return f"{64 + _LINE * math.sin(turn):.1f},{128 - _LINE * math.cos(turn):.1f}"
 
 
-def _log_pages(folders: ProjectFolders) -> dict[str, str]:
-    """The pages of all logs by key. A session goes before a drive with the same key."""
-    return {key: f"/{place}/{key}" for place in reversed(PLACES) for key in folders.logs(place)}
-
-
 def _page_of(pages: Mapping[str, str], session: str) -> str:
     """The page of a session's log; "" if it is in none of the folders."""
     return pages.get(key_of(Path(f"{session.replace('/', ' ')}.mcap")), "")
@@ -247,14 +248,6 @@ def _numbers_of(result: Mapping[str, Any], unit: SteeringUnit = DEGREES) -> list
         text = f"{value:.4g}" if isinstance(value, float) and math.isfinite(value) else str(value)
         numbers.append((printable(name.replace("_", " ")), printable(text)))
     return numbers
-
-
-def _drives(bench: Workbench, run: str) -> list[tuple[str, str]]:
-    """The names and addresses of the drives of a run."""
-    cards = bench.cards.cards("drives", 0.3)
-    return [
-        (card.name, f"/drives/{card.key}") for card in cards if card.info and card.info.session.get("run") == run
-    ]
 
 
 def _worst(

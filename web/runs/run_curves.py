@@ -35,7 +35,9 @@ def run_curves(history: History) -> dict[str, Line]:
         if steps
         else line(epoch.training_loss for epoch in history.epochs),
         "validation loss": line(epoch.validation_loss for epoch in history.epochs),
-        "RMSE": line(map(_rmse, history.epochs)),
+        "RMSE": line(
+            _share(epoch.measures.network.rmse_deg, epoch.measures.mean.rmse_deg) for epoch in history.epochs
+        ),
         "balanced RMSE": line(map(_balanced, history.epochs)),
         "correlation": line(epoch.measures.network.correlation for epoch in history.epochs),
     }
@@ -45,10 +47,6 @@ def run_curves(history: History) -> dict[str, Line]:
     for target in dict.fromkeys(target for shares in errors for target in shares):
         lines[f"RMSE of {target}"] = line(shares.get(target, math.nan) for shares in errors)
     return lines
-
-
-def _rmse(epoch: Epoch) -> float:
-    return _share(epoch.measures.network.rmse_deg, epoch.measures.mean.rmse_deg)
 
 
 def _balanced(epoch: Epoch) -> float:
