@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
-import sys
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -14,8 +14,6 @@ from common.command import INTERRUPTED, run_command
 from common.location_flag import LocationFlag
 from common.parent_process import end_with_parent
 from web.cli import Web, serve
-
-_NAME = "bc-web"
 
 
 @dataclass(frozen=True)
@@ -53,18 +51,11 @@ def _show(config: WheelPage) -> int:
 def _free_port(preferred: int) -> int:
     """The preferred port, or another one if that is taken."""
     for port in (preferred, 0):
-        with socket.socket() as probe:
-            if sys.platform != "win32":  # like the server: a port whose last connection has just ended is free
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            free: int = probe.getsockname()[1]
-            return free
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)) as probe:
+            return int(probe.getsockname()[1])
     return preferred
 
 
 def main() -> None:
     end_with_parent()
-    run_command(_NAME, WheelPage, _show)
+    run_command("bc-web", WheelPage, _show)
