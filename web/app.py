@@ -13,7 +13,6 @@ from starlette.routing import BaseRoute, Mount
 from starlette.types import ASGIApp
 
 from web.folders.project_folders import PLACES, ProjectFolders
-from web.pages.bulk_page import bulk_routes
 from web.pages.compare_page import compare_routes
 from web.pages.drives_page import drive_routes
 from web.pages.import_page import import_routes
@@ -63,7 +62,6 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
 def _routes(bench: Workbench) -> list[BaseRoute]:
     return [
         *session_list_routes(bench),
-        *bulk_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for routes in _LOG_ROUTES for route in routes(bench, place)),
         *rerun_routes(bench),

@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Final
 
+from common.car import CAMERAS, Camera
 from common.location import Location, Url
 from recorder import Log, LogError
 from recorder.log.kept_logs import read_kept
 from recorder.log.road_places import states_of
 from recorder.rows.row_quality import States
+from recorder.topics import camera_topic
 from web.folders.project_folders import ProjectFolders
 
 MAX_OPEN: Final = 8
@@ -43,6 +45,11 @@ class OpenLog:
     def states(self) -> States:
         """The vehicle states, one for each row; empty for a log without them."""
         return states_of(self.log)
+
+    @cached_property
+    def cameras(self) -> list[Camera]:
+        """The cameras that have pictures."""
+        return [camera for camera in CAMERAS if len(self.log.pictures(camera_topic(camera)).sequence)]
 
 
 class OpenLogs:

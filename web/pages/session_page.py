@@ -22,7 +22,6 @@ from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
-from recorder.topics import camera_topic
 from web.folders.project_folders import Place, is_recording, shown_name
 from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
 from web.logs.drive_view import drive_events
@@ -145,7 +144,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "lag": bench.folders.version_of(lag_path(log.path)),
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
-        "cameras": [camera for camera in CAMERAS if len(log.pictures(camera_topic(camera)).sequence)],
+        "cameras": opened.cameras,
         "problem": printable(log.notice),  # a recovery would lose the tags of an unfinished log
         "odd": shown_stretches(log, states, findings) if len(states.row) else [],
         "flags": flag_stretches(states),

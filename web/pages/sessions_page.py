@@ -1,4 +1,4 @@
-"""The list of sessions: film strips, steering, flags, tags, and frames in the index."""
+"""The list of sessions, the rows that its filter finds in all of them, and changes of the tags of these rows."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import msgspec
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -16,11 +17,19 @@ from common.errors import printable
 from common.location import Location
 from recorder.log_list_cli import SORTED_BY
 from recorder.rows.odd_stretches import ODD_KINDS
+from web.errors import WebError
 from web.index.index_view import bins_of_index
 from web.jobs.job_forms import form_of
 from web.logs.session_cards import IndexState, SessionCard
-from web.logs.session_stretches import PLAIN_FLAGS, SURE
+from web.logs.session_stretches import (
+    PLAIN_FLAGS,
+    SURE,
+    not_dealt_with,
+    stretches_of_kind,
+    stretches_of_rows,
+)
 from web.pages.request_values import has_words
+from web.pages.tagging import Action, Stretches, TagChange, change_tags, on_change
 from web.pages.workbench import Workbench
 from web.server.templates import page
 
@@ -83,6 +92,22 @@ class Listed:
     where_problem: str
 
 
+class TagsOfLog(msgspec.Struct, forbid_unknown_fields=True):
+    """Rows of the log with this key and fingerprint."""
+
+    key: str
+    log: str
+    rows: Stretches
+
+
+class BulkChange(msgspec.Struct, forbid_unknown_fields=True):
+    """A request to add a name to rows of several logs, or to remove it."""
+
+    action: Action
+    name: str
+    rows: list[TagsOfLog]
+
+
 def session_list_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = bench.sessions_version()  # before the logs are read, so that later changes are noticed
@@ -101,7 +126,44 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             problem=bench.folders.problem("sessions"),
         )
 
-    return [Route("/", lambda request: RedirectResponse("/sessions")), Route("/sessions", whole)]
+    def stretches(request: Request) -> Response:
+        """The stretches of a query that are neither excluded nor fine, in each finished log."""
+        query = SessionQuery.parse(request.query_params)
+        if not query.kind and not query.where:
+            raise WebError("choose a kind of odd rows, or enter a condition", 422)
+        listed = list_sessions(bench, query, patience_s=None)
+        if listed.where_problem:
+            raise WebError(listed.where_problem, 422)
+        logs, problems = [], []
+        for card in listed.cards:
+            try:
+                logs.append(_stretches(bench, card, query))
+            except UserError as error:
+                problems.append(f"{card.name}: {printable(str(error))}")
+        return JSONResponse({"logs": [log for log in logs if log["rows"]], "problems": problems})
+
+    def change(request: Request, requested: BulkChange) -> dict[str, object]:
+        """Change the tags of each log. If one log fails, the others are changed; `notice` has the reason."""
+        changed, commands, problems = [], [], []
+        for log in requested.rows:
+            try:
+                path = bench.folders.log("sessions", log.key)
+                log_change = TagChange(requested.action, requested.name, log.rows, log.log)
+                done: dict[str, Any] = change_tags(bench, "sessions", path, log_change)
+            except UserError as error:
+                problems.append(f"{printable(log.key)}: {printable(str(error))}")
+                continue
+            if done["changed"]:
+                changed.append({"key": log.key, "log": log.log, "rows": done["changed"]})
+                commands += done["commands"]
+        return {"changed": changed, "commands": commands, "notice": "; ".join(problems)}
+
+    return [
+        Route("/", lambda request: RedirectResponse("/sessions")),
+        Route("/sessions", whole),
+        Route("/sessions.found", stretches),
+        Route("/sessions.tags", on_change(BulkChange, change), methods=["POST"]),
+    ]
 
 
 def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | None = _PATIENCE_S) -> Listed:
@@ -125,6 +187,25 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
     chosen.sort(key=lambda card: (card.info is None, SORTS[query.sort](card) if card.info else 0, card.name))
     reading = sum(card.info is None and not card.problem for card in cards)
     return Listed(chosen, len(cards), reading, rows, searched, problem)
+
+
+def _stretches(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict[str, Any]:
+    with bench.logs.open(card.path) as opened:
+        log = opened.log
+        if log.problem:
+            raise UserError("skipped, because it is unfinished")
+        if query.where:
+            rows = stretches_of_rows(opened, bench.searches.numbers(query.where, card.path))
+        else:
+            rows = stretches_of_kind(opened, bench.checks, query.kind)
+        return {
+            "key": card.key,
+            "name": card.name,
+            "log": log.fingerprint,
+            "version": opened.version,
+            "camera": next(iter(opened.cameras), ""),
+            "rows": not_dealt_with(rows, bench.cards.tags(card.path, log.fingerprint).tags),
+        }
 
 
 def _has_kind(card: SessionCard, kind: str) -> bool:
