@@ -9,7 +9,7 @@ from typing import Final
 import anyio
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response, StreamingResponse
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from common import UserError
@@ -19,7 +19,7 @@ from web.folders.project_folders import Place, is_recording
 from web.pages.workbench import Workbench
 from web.processes.rerun_viewers import FILES, viewer_version
 from web.server.static_files import KEPT
-from web.server.templates import render
+from web.server.templates import page
 
 _POLL_S: Final = 0.1
 _POLICY: Final = "; ".join(  # the viewer is Rerun's program: it may reach only this server
@@ -40,8 +40,9 @@ def rerun_routes(bench: Workbench) -> list[Route]:
 
     def frame(request: Request) -> Response:
         viewer = bench.viewers.get(request.path_params["key"])
-        page = render("rerun.html", recording=f"/rerun/{viewer.key}/log.rrd", rerun_version=viewer_version())
-        return HTMLResponse(page, headers={"Content-Security-Policy": _POLICY})
+        answer = page("rerun.html", recording=f"/rerun/{viewer.key}/log.rrd", rerun_version=viewer_version())
+        answer.headers["Content-Security-Policy"] = _POLICY
+        return answer
 
     def recording(request: Request) -> Response:
         """The log as a recording file. It grows while the log is read or recorded."""

@@ -7,14 +7,14 @@ from http import HTTPStatus
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.types import Scope
 
 from common import UserError
 from common.errors import StoreError, printable
 from common.output import safe_line
 from web.errors import WebError, report_bug
-from web.server.templates import PAGES, render
+from web.server.templates import PAGES, page
 
 
 def error_answer(scope: Scope, error: WebError) -> Response:
@@ -22,9 +22,10 @@ def error_answer(scope: Scope, error: WebError) -> Response:
     reason = printable(safe_line(str(error)))
     headers = Headers(scope=scope)
     if "text/html" in headers.get("accept", "") and "hx-request" not in headers:
-        title = HTTPStatus(error.status).phrase
-        page = next((page for page in PAGES if scope["path"].startswith(page[1])), PAGES[1])
-        return HTMLResponse(render("error.html", title=title, reason=reason, page=page), status_code=error.status)
+        way_out = next((entry for entry in PAGES if scope["path"].startswith(entry[1])), PAGES[1])
+        answer = page("error.html", title=HTTPStatus(error.status).phrase, reason=reason, way_out=way_out)
+        answer.status_code = error.status
+        return answer
     return JSONResponse({"error": reason}, status_code=error.status)
 
 

@@ -57,11 +57,6 @@ _environment.globals.update(menu=PAGES, static=STATIC, version=version_of())
 _environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code)
 
 
-def render(template: str, /, **values: Any) -> str:
-    text: str = _environment.get_template(template).render(values)
-    return text
-
-
 def page(template: str, /, **values: Any) -> HTMLResponse:
     """The answer of a template with these values."""
-    return HTMLResponse(render(template, **values))
+    return HTMLResponse(_environment.get_template(template).render(values))
