@@ -35,8 +35,7 @@ from web.jobs.job_forms import INDEX_FIELDS, form_of, suggested_sessions
 from web.logs.session_cards import IndexState
 from web.pages.request_values import Values, number_in, on_form
 from web.pages.workbench import Workbench
-from web.runs.run_origins import index_checksum, origin_of
-from web.runs.run_settings import differing
+from web.runs.run_configs import differing, index_checksum, origin_of
 from web.server.templates import page
 
 _INDEX_FORM = "index"

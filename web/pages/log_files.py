@@ -24,8 +24,7 @@ from web.logs.steering_sketch import steering_sketch
 from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
 from web.runs.attention import attention_overlay
-from web.runs.run_networks import NETWORK_FILES
-from web.runs.run_origins import origin_of
+from web.runs.run_configs import NETWORK_FILES, origin_of
 from web.server.static_files import KEPT
 from web.server.templates import page
 

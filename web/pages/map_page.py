@@ -23,7 +23,7 @@ from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
-from web.runs.run_networks import NETWORK_FILES, can_be_run, check_network
+from web.runs.run_configs import NETWORK_FILES, can_be_run, check_network
 from web.server.templates import page
 
 _PIXELS: Final = "pixels"

@@ -12,7 +12,7 @@ from web.errors import WebError, or_404
 from web.folders.project_folders import Place, is_recording
 from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
-from web.runs.run_networks import NETWORK_FILES, check_network
+from web.runs.run_configs import NETWORK_FILES, check_network
 
 
 def prediction_routes(bench: Workbench, place: Place) -> list[Route]:

@@ -31,8 +31,7 @@ from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
 from web.runs.run_bins import bin_bars
 from web.runs.run_cards import RunCard
-from web.runs.run_origins import index_checksum, origin_of
-from web.runs.run_settings import settings_of
+from web.runs.run_configs import index_checksum, origin_of, settings_of
 from web.server.templates import page
 
 _MAX_NUMBERS: Final = 14  # of a result

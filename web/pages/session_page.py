@@ -1,18 +1,20 @@
-"""The page of a session or drive: its rows, pictures, odd stretches and tags."""
+"""The page of a session or drive: its rows, pictures, odd stretches and tags, and the jobs of the log."""
 
 from __future__ import annotations
 
 import contextlib
 import shlex
 from functools import partial
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from common import UserError
 from common.car import CAMERAS
 from common.errors import printable
 from common.location import Location
@@ -22,12 +24,13 @@ from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
 from recorder.rows.row_condition import rows_where
-from web.folders.project_folders import Place, is_recording, shown_name
+from web.folders.project_folders import Place, is_recording, key_of, shown_name
+from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
 from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
 from web.logs.drive_view import drive_events
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
-from web.pages.log_jobs_page import shown_log_jobs
+from web.pages.request_values import Values, on_form
 from web.pages.tagging import TagChange, change_tags, on_change, tag_names
 from web.pages.workbench import Workbench
 from web.server.templates import page
@@ -53,7 +56,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
             can_train=place == "sessions" and path.suffix == ".mcap",
             is_driven=is_driven(topic.topic for topic in info.topics),
             path=printable(str(path)),
-            log_jobs=shown_log_jobs(path),
+            log_jobs=_shown_log_jobs(path),
             others=[item for item in bench.folders.finished(place).items() if item[1] != name],
             play_command=printable(shlex.join(["bc-play", str(path)])),
             runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
@@ -117,6 +120,25 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def change(request: Request, requested: TagChange) -> dict[str, object]:
         return change_tags(bench, place, path_of(request), requested)
 
+    def make_command(request: Request) -> Response:
+        """The command that a form would run, or the problem with its values."""
+        log = path_of(request)
+        job = log_job(request.path_params["job"])
+        form = _form_of(request.query_params)
+        try:
+            words, _ = command_line(job, log, form, bench.folders.logs(place), bench.folders)
+        except UserError as error:
+            return PlainTextResponse(printable(str(error)))
+        return PlainTextResponse(printable(shlex.join(words)))
+
+    def make(request: Request, values: Values) -> Response:
+        log = path_of(request)
+        job = log_job(request.path_params["job"])
+        words, made = command_line(job, log, _form_of(values), bench.folders.logs(place), bench.folders)
+        address = f"/{place}/{key_of(made)}" if made is not None else ""
+        started = bench.jobs.start(words, address)
+        return RedirectResponse(f"/jobs/{started.key}", status_code=303)
+
     at = f"/{place}/{{log}}"
     return [
         Route(at, whole),
@@ -128,6 +150,8 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/names", names),
         Route(f"{at}/tags", on_change(TagChange, change), methods=["POST"]),
         Route(f"{at}/look", check_pictures, methods=["GET", "POST"]),
+        Route(f"{at}/make/{{job}}/command", make_command),
+        Route(f"{at}/make/{{job}}", on_form(make), methods=["POST"]),
     ]
 
 
@@ -159,3 +183,19 @@ def _max_steering_deg(log: Log) -> float | None:
     with contextlib.suppress(LogError):
         return known_max_steering_deg(log)
     return None
+
+
+def _shown_log_jobs(log: Location) -> list[dict[str, Any]]:
+    """The jobs that the page of a log offers, with the default names of new logs."""
+    return [
+        {
+            "job": job,
+            "new": shown_name(job.made(log)) if job.made and job.is_named and isinstance(log, Path) else "",
+        }
+        for job in jobs_for(log)
+    ]
+
+
+def _form_of(values: Values) -> NewLogForm:
+    new, first, last = (values.get(name, "").strip() for name in ("new", "first", "last"))
+    return NewLogForm(new, first, last, tuple(values.getlist("other")))

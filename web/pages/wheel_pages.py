@@ -31,7 +31,7 @@ from web.jobs.wheels import (
 )
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.runs.run_origins import origin_of
+from web.runs.run_configs import origin_of
 from web.server.templates import page
 
 

@@ -14,7 +14,7 @@ from common.location import Location
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 from web.folders.file_versions import Newest, version_of
-from web.runs.run_networks import check_network
+from web.runs.run_configs import check_network
 
 if TYPE_CHECKING:  # these load PyTorch, which only requests need
     from dataset.picture_spec import PictureSpec
