@@ -19,7 +19,6 @@ from web.pages.import_page import import_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
-from web.pages.log_jobs_page import log_job_routes
 from web.pages.map_page import map_routes
 from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
@@ -40,7 +39,7 @@ _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
     "application/wasm",
     "application/x-ndjson",
 )
-_LOG_ROUTES: Final = (session_routes, log_file_routes, rerun_log_routes, prediction_routes, log_job_routes)
+_LOG_ROUTES: Final = (session_routes, log_file_routes, rerun_log_routes, prediction_routes)
 
 
 @contextlib.contextmanager

@@ -23,8 +23,7 @@ from model.runs.run_files import CONFIG
 from recorder.log.logs_in_folder import logs_in
 from web.errors import WebError, or_404
 from web.folders.file_versions import version_of, version_of_folder, version_of_growing, version_of_stats
-from web.folders.stored_folders import StoredCopy, StoreListings
-from web.folders.stored_runs import StoredRuns
+from web.folders.stored_folders import StoredCopy, StoredRuns, StoreListings
 
 Place = Literal["sessions", "drives"]
 """A folder of logs, as addresses name it."""
