@@ -16,7 +16,7 @@ from web.folders.project_folders import key_of
 from web.logs.drive_map import MAX_ERROR_DEG, WAYS, drive_map
 from web.logs.drive_view import DriveView
 from web.pages.workbench import Workbench
-from web.runs.run_curves import COLOURS, run_colours
+from web.runs.run_charts import COLOURS, run_colours
 from web.server.templates import page
 
 _PATIENCE_S: Final = 0.5

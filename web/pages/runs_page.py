@@ -18,8 +18,8 @@ from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, 
 from web.pages.request_values import has_words
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard
+from web.runs.run_charts import COLOURS, Line, run_colours, run_curves
 from web.runs.run_configs import differing, settings_of
-from web.runs.run_curves import COLOURS, Line, run_colours, run_curves
 from web.server.templates import page
 
 PATIENCE_S: Final = 1.0
