@@ -20,14 +20,12 @@ from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
 from web.pages.log_files import log_file_routes
 from web.pages.map_page import map_routes
-from web.pages.predictions_page import prediction_routes
 from web.pages.rerun_page import rerun_log_routes, rerun_routes
 from web.pages.run_page import run_routes
 from web.pages.runs_page import run_list_routes
 from web.pages.session_page import session_routes
 from web.pages.sessions_page import session_list_routes
 from web.pages.wheel_pages import wheel_routes
-from web.pages.wheel_socket import wheel_socket_routes
 from web.pages.workbench import Workbench, change_routes
 from web.server.error_pages import HANDLERS
 from web.server.memory import TrimmedApp
@@ -39,7 +37,7 @@ _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
     "application/wasm",
     "application/x-ndjson",
 )
-_LOG_ROUTES: Final = (session_routes, log_file_routes, rerun_log_routes, prediction_routes)
+_LOG_ROUTES: Final = (session_routes, log_file_routes, rerun_log_routes)
 
 
 @contextlib.contextmanager
@@ -70,7 +68,6 @@ def _routes(bench: Workbench) -> list[BaseRoute]:
         *job_routes(bench),
         *import_routes(bench),
         *wheel_routes(bench),
-        *wheel_socket_routes(),
         *compare_routes(bench),
         *run_list_routes(bench),
         *run_routes(bench),

@@ -1,19 +1,29 @@
-"""At the wheel: the form that begins a drive, the page of the drive, and the page after it."""
+"""At the wheel: the form that begins a drive, the page of the drive, its socket, and the page after it.
+
+The socket forwards messages between the page and the process that drives.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from starlette.routing import Route
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.frames import CloseCode
 
 from common.errors import printable
 from common.files import session_name
 from recorder.teleop.open_wheels import open_wheels
 from recorder.topics import PERSON_METADATA
-from web.errors import or_404
+from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
 from web.jobs.wheels import (
     DEFAULTS,
@@ -34,8 +44,12 @@ from web.pages.workbench import Workbench
 from web.runs.run_configs import origin_of
 from web.server.templates import page
 
+_MAX_FRAME_BYTES: Final = 8 << 20
+_PATIENCE_S: Final = 5.0
+_QUEUE: Final = 2  # messages for a slow page; then the process waits
 
-def wheel_routes(bench: Workbench) -> list[Route]:
+
+def wheel_routes(bench: Workbench) -> list[BaseRoute]:
     def whole(request: Request) -> Response:
         """The form, and the running drives."""
         values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
@@ -122,6 +136,22 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         place: Place = or_404(next((place for place in PLACES if place == name), None), "no such folder of logs")
         return place, key, ended_drive(place, key, bench.folders)
 
+    async def socket(page: WebSocket) -> None:
+        try:
+            process = await _process(page.path_params["key"])
+        except WebError:
+            await page.close()
+            return
+        async with process:
+            with contextlib.suppress(WebSocketDisconnect):
+                await page.accept()
+                await _carry(page, process)
+            await process.close()
+            code = process.close_code
+            is_reason = code in (CloseCode.POLICY_VIOLATION, CloseCode.MESSAGE_TOO_BIG)
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page has closed it
+                await page.close(code if is_reason and code else CloseCode.NORMAL_CLOSURE)
+
     at = "/wheel/after/{place}/{log}"
     return [
         Route("/wheel", whole),
@@ -131,6 +161,7 @@ def wheel_routes(bench: Workbench) -> list[Route]:
         Route(at, after),
         Route(f"{at}/train", train, methods=["POST"]),
         Route("/wheel/{key}", drive),
+        WebSocketRoute("/wheel/{key}/socket", socket),
     ]
 
 
@@ -144,3 +175,48 @@ def _address(made: str, folders: ProjectFolders) -> str:
         if (place := place_of(wheel, folders)) and _after(*place) == made:
             return f"/wheel/{wheel.key}"
     return ""
+
+
+async def _process(key: str) -> ClientConnection:
+    """A connection to the process that drives. Raises WebError if it has ended, or takes no more pages."""
+    wheel = await run_in_threadpool(running, key)
+    try:
+        return await connect(
+            f"ws://127.0.0.1:{wheel.port}",
+            additional_headers={"Authorization": f"Bearer {wheel.token}"},
+            compression=None,
+            max_size=_MAX_FRAME_BYTES,
+            max_queue=_QUEUE,
+            proxy=None,
+            open_timeout=_PATIENCE_S,
+            close_timeout=1,
+        )
+    except (OSError, WebSocketException):
+        raise WebError("the drive has ended, or takes no more pages", 503) from None
+
+
+async def _carry(page: WebSocket, process: ClientConnection) -> None:
+    """Forward messages until either side closes. Each side waits for the other, so that nothing piles up."""
+    ways = [asyncio.create_task(_to_process(page, process)), asyncio.create_task(_to_page(page, process))]
+    try:
+        await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for way in ways:
+            way.cancel()
+        for result in await asyncio.gather(*ways, return_exceptions=True):
+            if isinstance(result, Exception) and not isinstance(result, (ConnectionClosed, WebSocketDisconnect)):
+                raise result
+
+
+async def _to_process(page: WebSocket, process: ClientConnection) -> None:
+    while (message := await page.receive())["type"] == "websocket.receive":
+        text = message.get("text")
+        await process.send(message["bytes"] if text is None else text)
+
+
+async def _to_page(page: WebSocket, process: ClientConnection) -> None:
+    async for data in process:
+        if isinstance(data, str):
+            await page.send_text(data)
+        else:
+            await page.send_bytes(data)

@@ -22,8 +22,8 @@ COLOURS: Final = 8
 
 
 def run_curves(history: History) -> dict[str, Line]:
-    """The curves by name. x is in epochs, so that runs of any size can be compared. Errors are shares of the error of
-    always predicting the mean, because runs hold out different frames."""
+    """The curves by name. x is in epochs, so that runs of any size can be compared. Errors are shares of the error
+    of always predicting the mean, because runs hold out different frames."""
     steps = history.steps[:: len(history.steps) // _MAX_STEPS + 1]
     ends = [float(epoch.epoch) for epoch in history.epochs]
 
