@@ -1,4 +1,5 @@
-"""Parts of a log that pages load: film strip, steering sketch, pictures, attention maps, links to runs."""
+"""Parts of a log that pages load: film strip, steering sketch, pictures, attention maps, links to runs, and the
+steering that a run predicts."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common.car import CAMERAS, Camera
@@ -15,16 +16,18 @@ from common.files import session_name
 from common.location import Location, absolute
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
+from recorder.topics import camera_topic
 from web.errors import WebError, or_404
-from web.folders.project_folders import Place, key_of
+from web.folders.project_folders import Place, is_recording, key_of
 from web.index.index_view import bins_of_index
 from web.logs.film_strip import film_strip
 from web.logs.open_logs import OpenLog
 from web.logs.steering_sketch import steering_sketch
 from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
+from web.processes.predictions import Measured
 from web.runs.attention import attention_overlay
-from web.runs.run_configs import NETWORK_FILES, origin_of
+from web.runs.run_configs import NETWORK_FILES, check_network, origin_of
 from web.server.static_files import KEPT
 from web.server.templates import page
 
@@ -85,6 +88,51 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         drove = printable(driver), f"/runs/{key}" if key in runs else ""
         return page("log_links.html", learnt=learnt, drove=drove)
 
+    def prediction(request: Request) -> Response:
+        """The state of a prediction. POST starts the work, unless it is done."""
+        path = path_of(request)
+        run = bench.folders.run(request.path_params["run"])
+        if is_recording(path):
+            raise WebError("this log is being recorded: wait until the recording has ended", 409)
+        with bench.logs.open(path) as opened:
+            fingerprint = opened.log.fingerprint
+            if fingerprint != request.query_params.get("log", ""):
+                raise WebError(
+                    "the log has changed since this page was opened: choose the run again, or reload the page", 409
+                )
+            bench.folders.bring_run(run, NETWORK_FILES)
+            key = bench.predictions.key(fingerprint, run)
+
+            def about() -> Measured | None:
+                predicted = bench.predictions.find(key)
+                return predicted.about if predicted else None
+
+            def start() -> None:
+                check_network(run, path, bench.folders.run_place(run))
+                pictures = len(opened.log.pictures(camera_topic("center")).sequence)
+                if not pictures:
+                    raise WebError("this log has no picture of the centre camera, which the network needs", 422)
+                bench.predictions.start(key, path, fingerprint, run, pictures)
+
+            state = bench.predictions.work.state(key, about, start if request.method == "POST" else None)
+        return JSONResponse({"name": printable(run.name), **state})
+
+    def stop_prediction(request: Request) -> Response:
+        """Stop the prediction of a run for a log, for all pages that wait for it."""
+        path_of(request)
+        run = bench.folders.run(request.path_params["run"])
+        bench.predictions.work.stop(bench.predictions.key(request.query_params.get("log", ""), run))
+        return Response(status_code=204)
+
+    def predicted_steering(request: Request) -> Response:
+        """The predicted steering of each row of the log, as float64; NaN for none."""
+        path = path_of(request)
+        predicted = bench.predictions.find(request.path_params["key"])
+        predicted = or_404(predicted, "this prediction is no longer kept: choose the run again")
+        with bench.logs.open(path) as opened:
+            data = predicted.at(opened.states.row).astype("<f8").tobytes()
+        return Response(data, media_type="application/octet-stream")
+
     at = f"/{place}/{{log}}"
     return [
         Route(f"{at}/strip.jpg", strip),
@@ -92,6 +140,9 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         Route(f"{at}/pictures/{{camera}}/{{row}}", picture),
         Route(f"{at}/attention/{{run}}/{{row}}", attention),
         Route(f"{at}/links", links),
+        Route(f"{at}/predictions/{{run}}", prediction, methods=["GET", "POST"]),
+        Route(f"{at}/predictions/{{run}}/stop", stop_prediction, methods=["POST"]),
+        Route(f"{at}/predictions/rows/{{key}}", predicted_steering),
     ]
 
 
