@@ -37,7 +37,6 @@ _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
     "application/wasm",
     "application/x-ndjson",
 )
-_LOG_ROUTES: Final = (session_routes, log_file_routes, rerun_log_routes)
 
 
 @contextlib.contextmanager
@@ -57,10 +56,11 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
 
 
 def _routes(bench: Workbench) -> list[BaseRoute]:
+    per_log = session_routes, log_file_routes, rerun_log_routes
     return [
         *session_list_routes(bench),
         *change_routes(bench),
-        *(route for place in PLACES for routes in _LOG_ROUTES for route in routes(bench, place)),
+        *(route for place in PLACES for routes in per_log for route in routes(bench, place)),
         *rerun_routes(bench),
         *drive_routes(bench),
         *index_routes(bench),

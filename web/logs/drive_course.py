@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from recorder import Log, topics
 from recorder.teleop.frame_state import road_named
-
-Values = NDArray[np.float64]
+from web.processes.predictions import Values, at_rows
 
 COLUMNS: Final = ("driver", "network", "sent", "expert", "x_m", "y_m")
 _COMMAND: Final = ("driver", "predicted_steering", "steering", "expert_steering")
@@ -46,12 +45,3 @@ def road_of(log: Log) -> dict[str, Any] | None:
     name = log.metadata.get("track", "")
     is_placed = name and log.counts.get(topics.POSE)
     return road_named(name, log.metadata.get("track_fingerprint", "")) if is_placed else None
-
-
-def at_rows(row: NDArray[np.int64], values: Values, rows: NDArray[np.int64]) -> Values:
-    """The values (..., M) with these row numbers (M,) at `rows` (N,): (..., N); NaN for rows without a value."""
-    if not len(row):
-        return np.full((*values.shape[:-1], len(rows)), np.nan)
-    order = np.argsort(row, kind="stable")
-    place = np.minimum(np.searchsorted(row[order], rows), len(order) - 1)
-    return np.where(row[order][place] == rows, values[..., order[place]], np.nan)

@@ -21,9 +21,10 @@ from common.location import Location, location
 from recorder.log_copy_cli import brought_here
 from web.errors import WebError
 from web.folders.project_folders import as_word
-from web.logs.drive_course import at_rows
 from web.processes.kept_work import KeptWork, run_fingerprint, write_result
 from web.processes.own_process import counter, run_in_process
+
+Values = NDArray[np.float64]
 
 _FORMAT: Final = 1  # of the kept files
 _WORST: Final = 30  # moments in the list
@@ -54,11 +55,20 @@ class Measured(msgspec.Struct, frozen=True):
 class Predicted:
     about: Measured
     row: NDArray[np.int64]  # (N,), one for each picture of the centre camera that decodes
-    steering: NDArray[np.float64]  # (N,), -1 (left) to 1 (right), before any clamp
+    steering: Values  # (N,), -1 (left) to 1 (right), before any clamp
 
-    def at(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, rows: NDArray[np.int64]) -> Values:
         """The steering at rows (M,) of the log; NaN for a row without a picture."""
         return at_rows(self.row, self.steering, rows)
+
+
+def at_rows(row: NDArray[np.int64], values: Values, rows: NDArray[np.int64]) -> Values:
+    """The values (..., M) with these row numbers (M,) at `rows` (N,): (..., N); NaN for rows without a value."""
+    if not len(row):
+        return np.full((*values.shape[:-1], len(rows)), np.nan)
+    order = np.argsort(row, kind="stable")
+    place = np.minimum(np.searchsorted(row[order], rows), len(order) - 1)
+    return np.where(row[order][place] == rows, values[..., order[place]], np.nan)
 
 
 class Predictions:
