@@ -40,10 +40,6 @@ _ROOT: Final = Path(behavioural_cloning_toolkit.__file__).parent
 _KEPT: Final = 50  # jobs that have ended
 _MAX_BYTES: Final = 64 << 10  # of the output, which a page shows: the last ones
 _RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.jobs.job_runner import main; main()"
-if sys.platform == "win32":
-    _NEW_GROUP: Final = subprocess.CREATE_NEW_PROCESS_GROUP
-else:
-    _NEW_GROUP: Final = 0
 _STOPPED: Final = 130
 _STATES: Final = {
     0: "done",
@@ -204,7 +200,7 @@ class Jobs:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 start_new_session=True,
-                creationflags=_NEW_GROUP,
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # of Windows
             )
             (folder / "pid").write_text(str(process.pid), encoding="utf-8")
             is_ready = process.stdout is not None and _is_ready(process.stdout)  # it counts as running

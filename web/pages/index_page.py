@@ -38,7 +38,6 @@ from web.pages.workbench import Workbench
 from web.runs.run_configs import differing, index_checksum, origin_of
 from web.server.templates import page
 
-_INDEX_FORM = "index"
 _PATIENCE_S: Final = 0.3
 
 
@@ -133,7 +132,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         return PlainTextResponse("\n".join(map(printable, [head, *lines])))
 
     def try_settings(request: Request, values: Values) -> Response:
-        form = form_of(_INDEX_FORM)
+        form = form_of("index")
         form.words(values, bench.folders)  # raises an error before a folder is made
         key, folder = bench.trials.new(bench.folders.local_index)
         words = form.words(values, dataclasses.replace(bench.folders, index=folder))

@@ -1,4 +1,4 @@
-// Elements of a page.
+// Elements and keys of a page.
 
 export const by = (id) => document.getElementById(id);
 export const number = (value) => value.toLocaleString("en");
@@ -46,4 +46,28 @@ export function colourReader(element) {
     element.style.color = before;
     return resolved;
   };
+}
+
+/** Call the actions of keys. In a text field, keys are letters. */
+export function listen(actions) {
+  document.addEventListener("keydown", (event) => {
+    const isTyping = event.target.matches("input, select, textarea");
+    if (event.key === "Escape" && isTyping) {
+      event.target.blur();
+      return;
+    }
+    if (isTyping || event.altKey) return;
+    const name = event.ctrlKey || event.metaKey ? withControl(event) : event.key;
+    if (name === " " && event.target.matches("button, summary, a")) return; // the key presses it
+    const action = actions[name];
+    if (!action) return;
+    event.preventDefault();
+    action(event);
+  });
+}
+
+function withControl(event) {
+  const key = event.key.toLowerCase();
+  if (key === "z") return event.shiftKey ? "redo" : "undo";
+  return key === "y" ? "redo" : "";
 }

@@ -1,10 +1,9 @@
 // The page of a map: the picture under the mouse, the chosen pictures, and their tags.
 
-import { button, by, make, number, showProblem } from "../dom.js";
+import { button, by, listen, make, number, showProblem } from "../dom.js";
 import { showStatus } from "../live.js";
 import { PointCloud } from "../point_cloud.js";
 import { angle, clock } from "../session/clock.js";
-import { listen } from "../session/keys.js";
 import { EXCLUDE, FINE, TagChanges } from "../tag_changes.js";
 import { colouringsOf, paletteOf } from "./colourings.js";
 import { PictureMap } from "./map_data.js";

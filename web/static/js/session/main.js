@@ -1,6 +1,6 @@
 // The page of a session: the actions of its mouse and keys.
 
-import { by, make, number, showProblem, toggleHelp } from "../dom.js";
+import { by, listen, make, number, showProblem, toggleHelp } from "../dom.js";
 import { showStatus } from "../live.js";
 import { changeTags, EXCLUDE, TagChanges } from "../tag_changes.js";
 import { angle, clock } from "./clock.js";
@@ -9,7 +9,6 @@ import { CourseMap } from "./course_map.js";
 import { Curves } from "./curves.js";
 import { DriverBand } from "./drivers.js";
 import { Filter } from "./filter.js";
-import { listen } from "./keys.js";
 import { listEvents, listOdd, listTags } from "./lists.js";
 import { ask, awaited, LogData } from "./log_data.js";
 import { left, Round, words } from "./odd.js";
