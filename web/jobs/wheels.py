@@ -64,13 +64,6 @@ class NewDrive(NamedTuple):
     key: str
 
 
-class TakeoverPlace(NamedTuple):
-    """The moment when a person takes over from a network."""
-
-    row: int
-    seconds: float  # since the first command
-
-
 class EndedDrive(NamedTuple):
     """A drive's log. `is_whole` is False while it is written, and if it was never finished."""
 
@@ -187,19 +180,19 @@ def ended_drive(place: Place, key: str, folders: ProjectFolders) -> EndedDrive |
     return None
 
 
-def takeovers(log: Log) -> list[TakeoverPlace]:
-    """The moments when a person took over from the network."""
-    places: list[TakeoverPlace] = []
+def takeovers(log: Log) -> list[tuple[int, float]]:
+    """The moments when a person took over from the network: the row, and the seconds since the first command."""
+    moments: list[tuple[int, float]] = []
     if topics.PILOT_COMMAND not in log.counts:
-        return places
+        return moments
     was_human, first_ns = True, None
     for message, command in log.commands():
         first_ns = message.log_time_ns if first_ns is None else first_ns
         is_human = command.driver == PilotCommand.HUMAN
         if is_human and not was_human:
-            places.append(TakeoverPlace(message.sequence, (message.log_time_ns - first_ns) / 1e9))
+            moments.append((message.sequence, (message.log_time_ns - first_ns) / 1e9))
         was_human = is_human
-    return places
+    return moments
 
 
 def _track(settings: Mapping[str, str]) -> str:

@@ -58,15 +58,12 @@ def _along(steering: Values) -> str:
     """At each point across, a stroke from the lowest to the highest steering."""
     edges = np.linspace(0, len(steering), min(_ALONG, max(len(steering), 1)) + 1).astype(int)
     step = _ALONG / (len(edges) - 1)
+    half = HEIGHT / 2
     strokes = []
     for number, (first, last) in enumerate(pairwise(edges.tolist())):
         values = steering[first:last]
         values = values[np.abs(values) <= 1]
         if len(values):
-            top, bottom = (_y(value) for value in (values.max(), values.min()))
+            top, bottom = (half - float(value) * (half - 2) for value in (values.max(), values.min()))
             strokes.append(f"M{(number + 0.5) * step:.1f} {top - 0.5:.1f}V{bottom + 0.5:.1f}")
     return "".join(strokes)
-
-
-def _y(value: float) -> float:
-    return float(HEIGHT / 2 - value * (HEIGHT / 2 - 2))
