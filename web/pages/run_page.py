@@ -104,15 +104,17 @@ def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> st
     except ValueError:  # damaged
         return ""
     init = str(config["init"].get("run") or "") if isinstance(config.get("init"), dict) else ""
-    if _learnt_from_takeovers(config):
-        logs = _takeovers(bench, run.sessions, init)
-        if not logs or _changed(settings, TrainConfig.of(settings.recipe)).keys() - _OF_INIT:
-            return ""
-        values = {"run": init, "takeovers": logs, "epochs": settings.epochs, "recipe": settings.recipe}
-        return urlencode({"start": "learn", **values})
+    changed = _changed(settings, TrainConfig.of(settings.recipe))
+    match config.get("data"):
+        case {"settings": {"drives": "takeovers"}}:
+            logs = _takeovers(bench, run.sessions, init)
+            if not logs or changed.keys() - _OF_INIT:
+                return ""
+            values = {"run": init, "takeovers": logs, "epochs": settings.epochs, "recipe": settings.recipe}
+            return urlencode({"start": "learn", **values})
     values = {"network": run.network, "epochs": str(run.epochs_asked)}
     values |= {"recipe": run.recipe, "targets": " ".join(run.targets), "seed": str(run.seed)}
-    for name, value in _changed(settings, TrainConfig.of(settings.recipe)).items():
+    for name, value in changed.items():
         values[name] = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
     if _is_on(config, card):
         values["on"] = in_one_field(run.sessions)
@@ -152,13 +154,6 @@ def _changed(settings: TrainConfig, usual: TrainConfig) -> dict[str, Any]:
     return {
         name: value for name, value in asdict(settings).items() if value != before[name] and name not in _MACHINES
     }
-
-
-def _learnt_from_takeovers(config: Mapping[str, Any]) -> bool:
-    match config.get("data"):
-        case {"settings": {"drives": "takeovers"}}:
-            return True
-    return False
 
 
 def _takeovers(bench: Workbench, sessions: Sequence[str], init: str) -> str:
