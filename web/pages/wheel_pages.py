@@ -136,21 +136,21 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         place: Place = or_404(next((place for place in PLACES if place == name), None), "no such folder of logs")
         return place, key, ended_drive(place, key, bench.folders)
 
-    async def socket(page: WebSocket) -> None:
+    async def forward(socket: WebSocket) -> None:
         try:
-            process = await _process(page.path_params["key"])
+            process = await _process(socket.path_params["key"])
         except WebError:
-            await page.close()
+            await socket.close()
             return
         async with process:
             with contextlib.suppress(WebSocketDisconnect):
-                await page.accept()
-                await _carry(page, process)
+                await socket.accept()
+                await _carry(socket, process)
             await process.close()
             code = process.close_code
             is_reason = code in (CloseCode.POLICY_VIOLATION, CloseCode.MESSAGE_TOO_BIG)
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page has closed it
-                await page.close(code if is_reason and code else CloseCode.NORMAL_CLOSURE)
+                await socket.close(code if is_reason and code else CloseCode.NORMAL_CLOSURE)
 
     at = "/wheel/after/{place}/{log}"
     return [
@@ -161,7 +161,7 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         Route(at, after),
         Route(f"{at}/train", train, methods=["POST"]),
         Route("/wheel/{key}", drive),
-        WebSocketRoute("/wheel/{key}/socket", socket),
+        WebSocketRoute("/wheel/{key}/socket", forward),
     ]
 
 
