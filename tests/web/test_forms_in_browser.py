@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pages import opened_page
+from driving import road_jpeg
+from logs import write_log
+from pages import open_session, opened_page
 from runs import a_run
 from waiting import wait_until
 from workbench import served
@@ -43,6 +45,37 @@ def test_values_are_still_there_on_the_way_back_from_an_error(browser: Browser, 
         page.wait_for_selector("text=no such folder or file")
         page.go_back()
         wait_until(lambda: page.input_value("[name=source]") == "/no/such folder")
+
+
+def test_rows_to_trim_are_still_there_after_an_error(browser: Browser, tmp_path: Path) -> None:
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+    typed = {"first": "9", "last": "5", "new": "bend"}
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions/a") as page:
+        open_session(page)
+        page.click("#make summary")
+        for name, value in typed.items():
+            page.fill(f"#make-trim [name={name}]", value)
+        page.click("#make-trim button")
+        page.wait_for_selector("h1:text('Unprocessable Entity')")
+        page.go_back()
+        open_session(page)
+        page.wait_for_selector("#command-trim:text('rows 9 to 5')")  # unfolded, as it was
+        assert typed == {name: page.input_value(f"#make-trim [name={name}]") for name in typed}
+        page.keyboard.press("[")
+        assert page.input_value("#make-trim [name=first]") == "0"  # selected rows replace them
+
+
+def test_a_form_with_values_shows_the_whole_command(browser: Browser, tmp_path: Path) -> None:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/jobs?start=train&epochs=3") as page:
+        page.wait_for_selector("#command-train:text('--epochs=3')")
+        page.click("#of-train .more summary")
+        page.fill("#form-train [name=dropout]", "0.3")
+        page.fill("#form-train [name=on]", "-x")
+        page.click("#form-train button.main")
+        page.wait_for_selector("h1:text('Unprocessable Entity')")
+        page.go_back()
+        page.wait_for_selector("#command-train:text('begins with a hyphen')")
+        assert page.is_visible("#form-train [name=dropout]")
 
 
 def test_the_name_of_a_drive_says_which_characters_it_may_have(browser: Browser, tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ async function poll() {
 function nameInAddress(form) {
   if (new URL(form.action).pathname !== location.pathname) return; // it leads to another page
   const filled = [...new FormData(form)].filter(([, value]) => value);
-  history.replaceState(null, "", `${form.action}${filled.length ? "?" : ""}${new URLSearchParams(filled)}`);
+  history.replaceState(history.state, "", `${form.action}${filled.length ? "?" : ""}${new URLSearchParams(filled)}`);
 }
 
 if (document.querySelector("[data-live]")) {
@@ -62,6 +62,12 @@ document.addEventListener("submit", (event) => {
   sent.add(event.target);
 });
 window.addEventListener("pageshow", () => sent.clear()); // back from the answer
+
+// a browser restores the fields on the way back, but not which forms were unfolded
+const folds = [...document.querySelectorAll("details:has(input)")];
+document.addEventListener("toggle", () => history.replaceState({ unfolded: folds.map((fold) => fold.open) }, ""), true);
+const unfolded = history.state?.unfolded ?? [];
+window.addEventListener("load", () => folds.forEach((fold, at) => (fold.open ||= Boolean(unfolded[at]))));
 
 for (const form of document.querySelectorAll("form.filters")) {
   form.addEventListener("input", () => nameInAddress(form));

@@ -11,7 +11,7 @@ const NONE = "select a stretch first: drag over the curves, or press j";
 export class Selected {
   /** `onPick(position)`: a picture of the grid was clicked. */
   constructor(page, data, curves, filter, { onPick }) {
-    Object.assign(this, { page, data, curves, filter, stretches: [] });
+    Object.assign(this, { page, data, curves, filter, stretches: [], filled: " " });
     new Edges(curves, { onChange: (stretches) => this.select(stretches) });
     this.looking = new Looking(by("looking"), data, { onPick, onChange: (stretches) => this.select(stretches, true) });
     by("look-at").addEventListener("click", () => this.togglePictures());
@@ -25,15 +25,18 @@ export class Selected {
     by("exclude").disabled = by("fine").disabled = by("tag").disabled = !selection.length || Boolean(data.state.problem);
     by("look-at").disabled = !selection.length || !data.state.cameras.length;
     by("selected").textContent = selecting.words(selection, data);
-    this.fillTrim(selection.length ? { first: selection[0].first, last: selection.at(-1).last } : { first: 0, last: data.length - 1 });
+    this.fillTrim(selection);
     if (this.looking.isOpen && !isByGrid) this.showPictures(selection.length > 0);
   }
 
-  /** Fill the form for a trimmed log, which a log in a store lacks. */
-  fillTrim(stretch) {
+  /** Fill the form for a trimmed log, which a log in a store lacks. Without a selection, entered rows stay. */
+  fillTrim(selection) {
     if (!by("make-trim")) return;
-    const { elements } = by("make-trim");
-    [elements.first.value, elements.last.value] = this.data.length ? this.data.rowsOf(stretch) : ["", ""];
+    const { first, last } = by("make-trim").elements;
+    if (!selection.length && `${first.value} ${last.value}` !== this.filled) return;
+    const stretch = selection.length ? { first: selection[0].first, last: selection.at(-1).last } : { first: 0, last: this.data.length - 1 };
+    [first.value, last.value] = this.data.length ? this.data.rowsOf(stretch) : ["", ""];
+    this.filled = `${first.value} ${last.value}`;
     if (by("make").open) by("make-trim").dispatchEvent(new Event("show"));
   }
 
