@@ -64,6 +64,21 @@ def test_each_page_has_one_primary_action(browser: Browser, tmp_path: Path) -> N
         assert given == {"network": "small", "epochs": "2", "recipe": "original", "seed": "3"}
 
 
+def test_an_open_run_page_names_a_log_that_is_deleted(browser: Browser, tmp_path: Path) -> None:
+    log = write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+    run = a_run(tmp_path / "runs", "mine")
+    config = json.loads((run / "config.json").read_text()) | {"index": "index-mine", "data": {"logs": {"a": {}}}}
+    (run / "config.json").write_text(json.dumps(config))
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/runs/mine") as page:
+        page.wait_for_selector("text=Train again")
+        notice = page.locator("text=Train again does not use the same data: a is not in these folders.")
+        assert not notice.count()
+        log.unlink()
+        notice.wait_for()
+        colours = [each.evaluate("each => getComputedStyle(each).color") for each in (notice, page.locator("h1"))]
+        assert colours[0] == colours[1]  # it is no error
+
+
 def test_the_first_screen_leads_to_all_that_can_be_done_first(browser: Browser, tmp_path: Path) -> None:
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         cards = page.locator(".cards li")

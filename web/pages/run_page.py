@@ -56,7 +56,8 @@ def run_routes(bench: Workbench) -> list[Route]:
         return Response(worst.jpegs[number], media_type="image/jpeg")
 
     def whole(request: Request) -> Response:
-        live, key = bench.runs_version(), request.path_params["run"]
+        live = "; ".join((bench.runs_version(), bench.sessions_version(), bench.drives_version()))
+        key = request.path_params["run"]
         path = bench.folders.run(key)
         cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")

@@ -1,6 +1,6 @@
 // Changes by commands appear without a reload: this script polls the versions of the lists. An element with data-live
-// (the name of a list) and data-version gets the event `folders-changed` when the version changes. Server-sent events
-// would keep a connection open in each tab, and a browser opens at most six to a server.
+// (names of lists) and data-version gets the event `folders-changed` when a version changes. Server-sent events would
+// keep a connection open in each tab, and a browser opens at most six to a server.
 
 import { reasonIn } from "./dom.js";
 
@@ -30,7 +30,7 @@ async function poll() {
     if (unanswered) showStatus("");
     unanswered = 0;
     for (const element of document.querySelectorAll("[data-live]")) {
-      const version = versions[element.dataset.live];
+      const version = element.dataset.live.split(" ").map((name) => versions[name]).join("; ");
       if (version === element.dataset.version) continue;
       element.dataset.version = version;
       hasChanged = true;
