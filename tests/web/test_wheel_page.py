@@ -16,6 +16,7 @@ from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.pose_message import pose_message
 from recorder.teleop.wheel import Wheel
+from runs import a_run
 from simulator.pose import Pose
 from simulator.roads.track import load_track
 from waiting import wait_until
@@ -132,6 +133,25 @@ def test_a_drive_that_cannot_begin_says_why(bench: Served) -> None:
     page = begun.headers["location"]
     wait_until(lambda: "has not begun" in bench.get(page).text)
     assert "taken.mcap" in bench.get(page).text
+
+
+@pytest.mark.parametrize("driver", ["me", "run"])
+def test_a_taken_name_leads_back_to_the_form_with_its_values(bench: Served, driver: str) -> None:
+    """No page has the flag --force, which the command would advise."""
+    a_run(bench.folder / "runs", "first")
+    write_log(bench.folder / ("sessions" if driver == "me" else "drives") / "taken.mcap", [0.1])
+    begun = bench.post("/wheel", name="taken", driver=driver, run="first", speed="23")
+    form = bench.get(begun.headers["location"]).text
+    assert "taken.mcap: exists already; give another name" in form
+    assert 'name="speed" type="number" min="1" max="100" step="any" value="23"' in form
+    assert "--force" not in form
+    assert "exists already" not in bench.get("/wheel").text
+
+
+def test_a_form_refuses_the_name_of_another_session(bench: Served) -> None:
+    write_log(bench.folder / "sessions" / "my lap.mcap", [0.1])
+    answer = bench.post("/jobs", form="record", name=" my lap ", laps="1")
+    assert (answer.status, "my lap.mcap: exists already; give another name" in answer.text) == (409, True)
 
 
 @pytest.mark.parametrize(

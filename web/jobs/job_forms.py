@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, get_args
 
+from common.errors import printable
 from common.recipe import IndexRecipe, Recipe
 from dataset.config import IndexConfig
 from model.config import Answers, Light, TrainConfig
 from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
 from web.errors import WebError, or_404
-from web.folders.project_folders import ProjectFolders, key_of, shown_name
+from web.folders.project_folders import Place, ProjectFolders, key_of, shown_name
 
 MAX_CHARACTERS: Final = 1000  # of a value
 
@@ -30,6 +31,13 @@ def as_argument(word: str) -> str:
     if word.startswith("-"):
         raise WebError(f"{word!r} begins with a hyphen: a command would take it for a flag", 422)
     return word
+
+
+def refuse_taken(name: str, place: Place, folders: ProjectFolders) -> None:
+    """Raise WebError for the name of another log. The command would advise `--force`, which no page has."""
+    for log in folders.logs(place).values():
+        if log.name == f"{name}.mcap":
+            raise WebError(f"{printable(str(log))}: exists already; give another name", 409)
 
 
 def in_one_field(words: Iterable[str]) -> str:
@@ -107,6 +115,8 @@ class JobForm:
             if len(value) > MAX_CHARACTERS or not value.isprintable():
                 raise WebError(f"{field.label}: at most {MAX_CHARACTERS:,} characters, on one line", 422)
             words += field.words(value)
+        if self.command == ("bc-record",):
+            refuse_taken(values["name"].strip(), "sessions", folders)
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
         return words + folders.flags(*self.folders, to_store=self.to_store)

@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlencode
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -25,6 +26,7 @@ from recorder.teleop.open_wheels import open_wheels
 from recorder.topics import PERSON_METADATA
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
+from web.jobs.job_forms import refuse_taken
 from web.jobs.wheels import (
     DEFAULTS,
     RATES_HZ,
@@ -55,13 +57,21 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
         runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
         wheels = open_wheels(Path.cwd())
-        return page("wheels.html", values=values, tracks=TRACKS, rates=RATES_HZ, runs=runs, wheels=wheels)
+        problem = ""
+        try:
+            refuse_taken(values["name"], "drives" if values["driver"] == "run" else "sessions", bench.folders)
+        except WebError as error:
+            problem = str(error)
+        context = {"values": values, "problem": problem, "tracks": TRACKS, "rates": RATES_HZ}
+        return page("wheels.html", runs=runs, wheels=wheels, **context)
 
     def rows(request: Request) -> Response:
         return page("wheel_rows.html", wheels=open_wheels(Path.cwd()))
 
     def start(request: Request, values: Values) -> Response:
         drive = new_drive(values, bench.folders)
+        if drive.key in bench.folders.logs(drive.place):  # back to the form, with its values and the problem
+            return RedirectResponse(f"/wheel?{urlencode(values)}", status_code=303)
         job = bench.jobs.start(drive.words, _after(drive.place, drive.key), records=True)
         return RedirectResponse(f"/wheel/begin/{job.key}", status_code=303)
 
