@@ -107,6 +107,26 @@ def test_a_training_leads_to_its_run_whatever_becomes_of_it(bench: Served) -> No
     assert f'value="{run}"' in bench.get(html.unescape(go_on)).text
 
 
+def test_the_page_of_a_run_that_never_began_says_why(bench: Served) -> None:
+    job = start(bench, form="train", name="mine", epochs="1")  # without sessions
+    assert "Train mine: has not begun yet; reload this page in a moment" in text(bench, "/runs/mine")
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    assert "Train mine: failed, and left no run; Jobs shows its output" in text(bench, "/runs/mine")
+    assert "nothing printed yet" not in text(bench, job)
+
+
+def test_a_job_shows_its_present_duration(bench: Served) -> None:
+    job = start(bench, form="record", name="long", laps="200")
+    wait_until(lambda: list((bench.folder / "sessions").glob("long.mcap.*.part")))
+    (about,) = (bench.folder / "cache" / "jobs").glob("*/*/job.json")
+    version = bench.get("/changes").json["jobs"]
+    began = json.loads(about.read_text()) | {"began": "2026-01-01T00:00:00+00:00"}  # it has run for months
+    about.write_text(json.dumps(began))
+    assert bench.get("/changes").json["jobs"] != version
+    bench.post(f"{job}/stop")
+    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+
+
 def test_what_is_missing_leads_to_the_list_that_it_would_be_in(bench: Served) -> None:
     for page, name in (("/runs/none", "Runs"), ("/drives/none", "Drives"), ("/sessions/none", "Sessions")):
         shown = bench.get(page, Accept="text/html").text

@@ -97,7 +97,7 @@ class Job:
 
     @property
     def is_training(self) -> bool:
-        """Whether it trains a run, which has a page from the start."""
+        """Whether it trains a run, which has a page as soon as it has begun."""
         return self.about.words[0] == "bc-train" and self.about.made.startswith("/runs/")
 
     @property
@@ -158,17 +158,18 @@ class Jobs:
         return or_404(job, f"no job {key!r}: only the newest {_KEPT} are kept, in the cache folder")
 
     def version(self) -> str:
-        """A text that changes when a job starts, prints or ends."""
-        return digest(
-            f"{job.key} {version_of(job.folder / OUTPUT, job.folder / EXIT)} {job.is_running}"
-            for job in self.all()
-        )
+        """A text that changes when a job starts, prints or ends, and every five seconds of a running job."""
+        states = ((job, version_of(job.folder / OUTPUT, job.folder / EXIT)) for job in self.all())
+        # pages show how long a job has run
+        return digest(f"{job.key} {version} {job.is_running and 5 * (job.seconds // 5)}" for job, version in states)
 
     def training(self, page: str) -> Job | None:
         """The running training of the run with that page."""
-        return next(
-            (job for job in self.all() if job.is_running and job.is_training and job.about.made == page), None
-        )
+        return next((job for job in self.trainings(page) if job.is_running), None)
+
+    def trainings(self, page: str) -> list[Job]:
+        """The trainings of the run with that page, the newest first."""
+        return [job for job in self.all() if job.is_training and job.about.made == page]
 
     def start(
         self,

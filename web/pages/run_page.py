@@ -55,10 +55,20 @@ def run_routes(bench: Workbench) -> list[Route]:
             raise WebError(f"{path}: no such frame after epoch {epoch}", 404)
         return Response(worst.jpegs[number], media_type="image/jpeg")
 
+    def _run(key: str) -> Path:
+        """Raises WebError if there is no such run, or not yet."""
+        if key not in bench.folders.run_folders():
+            for job in bench.jobs.trainings(f"/runs/{key}"):
+                if job.is_running:
+                    raise WebError(f"{job.title}: has not begun yet; reload this page in a moment", 404)
+                if not job.is_good:
+                    raise WebError(f"{job.title}: {job.state}, and left no run; Jobs shows its output", 404)
+        return bench.folders.run(key)
+
     def whole(request: Request) -> Response:
         live = "; ".join((bench.runs_version(), bench.sessions_version(), bench.drives_version()))
         key = request.path_params["run"]
-        path = bench.folders.run(key)
+        path = _run(key)
         cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")
         # a session goes before a drive with the same key
