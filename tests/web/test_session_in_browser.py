@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 import recorder.log_cli
+from driving import road_jpeg
 from faulty_session import CRASH, ROWS, STUCK, write_faulty
-from logs import START_NS
+from logs import START_NS, write_log
 from mcap_patch import without_lag
-from pages import drag, open_session, opened_page, press
+from pages import drag, open_session, opened_page, press, window_of
 from panorama import pressed, views, write_drive
+from ports import free_ports
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
@@ -255,6 +257,26 @@ def test_what_commands_do_meanwhile_is_seen(browser: Browser, bench: Served) -> 
         wait_until(lambda: "replaced" in page.inner_text("#problem"))
         log.unlink()
         wait_until(lambda: "deleted" in page.inner_text("#problem"))
+
+
+def test_what_was_wrong_meanwhile_is_no_longer_said(browser: Browser, tmp_path: Path) -> None:
+    log = write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+    (port,) = free_ports(1)
+    with window_of(browser, 1280, 800) as page:
+        with served(tmp_path, port=port) as bench:
+            page.goto(f"{bench.address}/sessions/a")
+            open_session(page)
+            log.rename(tmp_path / "a.mcap")
+            page.wait_for_selector("#problem:text('deleted')")
+            (tmp_path / "a.mcap").rename(log)
+            page.wait_for_selector("#problem", state="hidden")
+        page.wait_for_selector("#problem:text('bc-web does not answer')")
+        page.keyboard.press("[")
+        page.keyboard.press("x")
+        page.wait_for_selector("#status:text('bc-web does not answer')")
+        with served(tmp_path, port=port):
+            page.wait_for_selector("#problem", state="hidden")
+            press(page, "x", 1)
 
 
 def test_a_lag_that_is_measured_meanwhile_is_shown(browser: Browser, bench: Served) -> None:

@@ -11,7 +11,9 @@ const LOAD_SHARE = 5; // loading, which reads all of a growing log, may take a s
 class Refused extends Error {}
 
 export async function ask(path, options) {
-  const answer = await fetch(path, options);
+  const answer = await fetch(path, options).catch(() => {
+    throw new Error(NO_ANSWER);
+  });
   if (answer.ok) return answer;
   throw new Refused(reasonIn(await answer.text(), answer.status));
 }
@@ -46,7 +48,7 @@ export class LogData extends EventTarget {
     this.length = 0;
     this.tags = [];
     this.tagsVersion = null; // of the file that was read
-    this.storeProblem = ""; // why the log's store does not answer
+    this.pollProblem = ""; // that the last poll has found
     this.busyUntil = 0;
     this.tagRequests = 0;
   }
@@ -130,32 +132,41 @@ export class LogData extends EventTarget {
   async poll() {
     if (document.hidden || performance.now() < this.busyUntil || this.isPolling) return;
     this.isPolling = true;
+    let problem = "";
     try {
-      const { log, lag, tags, growing, problem } = await (await ask(`${this.address}/version`)).json();
-      if (problem !== this.storeProblem) this.report((this.storeProblem = problem));
-      if (log !== this.state.version) await this.changed(growing);
-      if (lag !== this.state.lag) {
-        this.state.lag = lag;
-        this.dispatchEvent(new Event("lag"));
-      }
-      if (tags !== this.tagsVersion) {
-        this.tagsVersion = tags; // before they are read: an unreadable file is read once
-        await this.loadTags();
-      }
+      problem = await this.refresh();
+      if (!problem && this.pollProblem) await this.loadTags(); // shows what was shown before it
     } catch (error) {
-      this.report(error instanceof Refused ? error.message : NO_ANSWER);
-    } finally {
-      this.isPolling = false;
+      problem = error instanceof Refused ? error.message : NO_ANSWER;
     }
+    if (problem && problem !== this.pollProblem) this.report(problem);
+    this.pollProblem = problem;
+    this.isPolling = false;
+  }
+
+  /** Load what has changed. Return the problem of the log or its store, "" for none. */
+  async refresh() {
+    const { log, lag, tags, growing, problem } = await (await ask(`${this.address}/version`)).json();
+    const changed = log === this.state.version ? "" : await this.changed(growing);
+    if (lag !== this.state.lag) {
+      this.state.lag = lag;
+      this.dispatchEvent(new Event("lag"));
+    }
+    if (tags !== this.tagsVersion) {
+      this.tagsVersion = tags; // before they are read: an unreadable file is read once
+      await this.loadTags();
+    }
+    return problem || changed;
   }
 
   async changed(isGrowing) {
     if (isGrowing || this.state.problem) {
       await this.load();
-      return;
+      return "";
     }
     const { fingerprint, version } = await (await ask(`${this.address}/state`)).json();
-    if (fingerprint === this.state.fingerprint) this.state.version = version; // touched, or copied
-    else this.report("this log has been replaced by another one: reload the page to see it");
+    if (fingerprint !== this.state.fingerprint) return "this log has been replaced by another one: reload the page to see it";
+    this.state.version = version; // touched, or copied
+    return "";
   }
 }
