@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 from collections.abc import Callable
@@ -64,7 +65,10 @@ class WorkbenchServer:
     def stop(self) -> None:
         """End the server. Requests in progress get a moment more."""
         self._server.should_exit = True
+        logger = logging.getLogger("uvicorn.error")
+        logger.addFilter(_leave_out)
         self._thread.join()
+        logger.removeFilter(_leave_out)
         self._socket.close()
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -74,3 +78,8 @@ class WorkbenchServer:
     def _run(self) -> None:
         leave_signals_to_main_thread()
         self._server.run(sockets=[self._socket])
+
+
+def _leave_out(record: logging.LogRecord) -> bool:
+    """A filter for the time of the end: uvicorn reports each request that it cancels, with a traceback."""
+    return False
