@@ -269,6 +269,22 @@ def test_it_can_be_stopped_and_made_again(browser: Browser, bench: Served, hold:
         shown(page)
 
 
+def test_while_a_map_is_made_its_tools_wait(browser: Browser, bench: Served, hold: Callable[[], None]) -> None:
+    with opened_page(browser, f"{bench.address}/map?of=sessions/day&run=pixels") as page:
+        shown(page)
+        page.click("#groups button")
+        page.click("#fine")
+        wait_until(lambda: tags_of(bench, "day"))
+        hold()
+        page.select_option("#run", "r")
+        page.wait_for_selector("#progress:visible")
+        assert [page.is_enabled(f"#{tool}") for tool in ("lonely", "doubles", "whole", "by")] == [False] * 4
+        page.click("#undo")
+        wait_until(lambda: page.inner_text("#status").startswith("undone: add fine"))
+        assert not tags_of(bench, "day")
+        page.click("#stop")
+
+
 def test_what_cannot_be_shown_says_why(bench: Served) -> None:
     def asked(query: str, method: str = "POST") -> Any:
         return bench.ask(method, f"/map.state?{query}")

@@ -33,6 +33,7 @@ function show() {
   by("again").hidden = !problem;
   by("progress").hidden = !map.isWaiting;
   if (map.isWaiting) showProgress(progress);
+  for (const id of ["lonely", "doubles", "whole", "by"]) by(id).disabled = !map.about;
   page.dataset.shown = map.about ? map.run : ""; // for scripts that wait for it
   if (!map.about) {
     cloud.show(new Float32Array(0), new Float32Array(0));
@@ -163,6 +164,7 @@ function showGroups() {
 
 /** Tags have changed. */
 async function showTags() {
+  if (!map.about) return; // it gets them with its points
   await map.loadTags();
   const before = [...cloud.selected];
   colour();
