@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,10 +20,14 @@ from dataset import IndexConfig, Samples, build_index, decode, load
 from driving import road_jpeg
 from logs import not_a_picture, write_log
 from model.config import TrainConfig
+from pages import opened_page
 from udacity import call
 from waiting import wait_until
 from web.index.index_view import session_bins_sketch
 from workbench import Served, plain, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 AWKWARD = "<b>a 'b' é"
 
@@ -114,6 +119,23 @@ def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
             assert float(label_deg) == pytest.approx(25 * loader.labels(np.array([at]), 1)[0], abs=0.051)
     assert bench.get("/index.altered/99/0.jpg").status == 404
     assert bench.get("/index.altered/0/2.jpg").status == 404
+
+
+def test_an_open_page_shows_an_index_that_is_built_meanwhile(browser: Browser, tmp_path: Path) -> None:
+    folders = "--sessions", tmp_path / "sessions", "--index", tmp_path / "index"
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 400, lambda camera, row: road_jpeg(row))
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/index") as page:
+        page.fill("[name=bins]", "21")  # what is typed stays
+        assert call(dataset.cli.main, *folders) == 0
+        page.wait_for_selector("text=25 bins")
+        assert not page.locator("button:text('Build the index')").count()
+        before = page.get_attribute("img.bins", "src")
+        assert call(dataset.cli.main, *folders, "--bins", "5") == 0
+        page.wait_for_selector("text=5 bins; the largest")
+        wait_until(lambda: page.get_attribute("img.bins", "src") != before)  # another picture
+        write_log(tmp_path / "sessions" / "b.mcap", [0.1] * 400, lambda camera, row: road_jpeg(row))
+        page.wait_for_selector("text=Newer than the index, or changed since: b.")
+        assert page.input_value("[name=bins]") == "21"
 
 
 @pytest.mark.parametrize(
