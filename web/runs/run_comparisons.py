@@ -58,6 +58,8 @@ def _comparison(printed: dict[str, Any]) -> dict[str, Any]:
         "confidence": float(printed["confidence"]),
         "apart": unit.of(float(printed["answers_apart_deg"])),  # root mean square of A's and B's difference
         "verdict": str(printed["verdict"]),
+        "learnt": [(run.upper(), int(count)) for run, count in printed.get("learnt", {}).items() if count],
+        "skipped": sum(map(int, printed.get("skipped", {}).values())),  # pictures that do not decode
         "measures": [_measure(name, values, unit) for name, values in printed["measures"].items()],
     }
 
