@@ -220,3 +220,14 @@ def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> No
         assert bench.get("/index.leaks").status == 422
         assert bench.get("/index.bins").status == 422
         assert bench.get("/index.altered").status == 422
+
+
+def test_a_damaged_index_is_built_anew_by_one_button(tmp_path: Path) -> None:
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 400, lambda camera, row: road_jpeg(row))
+    (tmp_path / "index").mkdir()
+    (tmp_path / "index" / "samples.parquet").write_bytes(b"PAR1")
+    with served(tmp_path) as bench:
+        assert "Build the index" in bench.get("/index").text
+        bench.post("/jobs", form="index")
+        wait_until(lambda: "Train on it" in bench.get("/index").text)
+        assert "damaged" not in bench.get("/index").text

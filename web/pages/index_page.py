@@ -68,6 +68,7 @@ def index_routes(bench: Workbench) -> list[Route]:
             now=now,
             then=then,
             is_missing=not (index / SAMPLES_NAME).exists() and not store_problem,
+            is_damaged=bool(problem) and not store_problem,
             problem=store_problem or problem.replace(printable(str(index)), printable(str(bench.folders.index))),
             trial_problem=trial_problem,
             stale=_stale(),
