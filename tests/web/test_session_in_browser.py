@@ -143,6 +143,9 @@ def test_all_that_is_sure_and_what_a_condition_says_are_excluded_at_once(browser
         wait_until(lambda: tags(bench) == [("exclude", 0, 2), ("exclude", *CRASH), ("exclude", 598, 599)])
         page.click("#undo")
         wait_until(lambda: tags(bench) == [("exclude", *CRASH)])  # both at once
+        page.fill("#where", "row > 600")
+        page.press("#where", "Enter")
+        wait_until(lambda: page.inner_text("#status") == "this log has no such rows")
         page.fill("#where", "speed")
         page.keyboard.press("Enter")
         wait_until(lambda: "expected a comparison (<, <=, >, >=, =, !=), not speed;" in page.inner_text("#status"))

@@ -180,7 +180,8 @@ function showFiltered(isSelected) {
   selected.select(isSelected ? filter.toDo : []);
   if (!isSelected) return;
   curves.show(0, data.length - 1);
-  showStatus(filter.toDo.length ? `${counted(filter.toDo)} selected` : "nothing is left: all of it is excluded or fine");
+  if (!filter.groups.length) showStatus("this log has no such rows");
+  else showStatus(filter.toDo.length ? `${counted(filter.toDo)} selected` : "nothing is left: all of it is excluded or fine");
 }
 
 function showTags() {
