@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import recorder.log_cli
 from driving import road_jpeg
 from logs import write_log
-from pages import open_session, opened_page
+from pages import open_session, opened_page, window_of
+from ports import free_ports
 from udacity import call
 from waiting import wait_until
 from workbench import served
@@ -37,3 +38,19 @@ def test_the_list_keeps_up_without_a_reload(browser: Browser, tmp_path: Path) ->
         page.wait_for_selector("#s-lake")
         assert page.input_value("input[name=text]") == "wet"
         assert page.locator("#s-mountain").count() == 0
+
+
+def test_a_search_typed_during_a_restart_is_answered(browser: Browser, tmp_path: Path) -> None:
+    for name in ("lake", "mountain"):
+        write_log(tmp_path / "sessions" / f"{name}.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
+    (port,) = free_ports(1)
+    with window_of(browser, 1280, 800) as page:
+        with served(tmp_path, port=port) as bench:
+            page.goto(f"{bench.address}/sessions")
+            page.wait_for_selector("#s-mountain")
+        page.wait_for_selector("#status:text('bc-web does not answer')")
+        with page.expect_event("requestfailed", lambda request: "/sessions.rows" in request.url):
+            page.fill("input[name=text]", "lake")
+        with served(tmp_path, port=port):
+            page.wait_for_selector("#s-mountain", state="detached")
+            assert page.is_visible("#s-lake")

@@ -27,11 +27,12 @@ async function poll() {
     const answer = await fetch("/changes");
     if (!answer.ok) throw new Error(answer.statusText);
     const versions = await answer.json();
-    if (unanswered) showStatus("");
+    const isBack = unanswered > 0; // a list may lack what was entered meanwhile
+    if (isBack) showStatus("");
     unanswered = 0;
     for (const element of document.querySelectorAll("[data-live]")) {
       const version = element.dataset.live.split(" ").map((name) => versions[name]).join("; ");
-      if (version === element.dataset.version) continue;
+      if (version === element.dataset.version && !isBack) continue;
       element.dataset.version = version;
       hasChanged = true;
       element.dispatchEvent(new CustomEvent("folders-changed", { bubbles: true }));
