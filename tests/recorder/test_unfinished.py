@@ -219,6 +219,7 @@ def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path)
         assert is_being_written(part)
         with Log(part) as log:
             assert log.problem == "unfinished: its recording is still going on"
+            assert log.notice.endswith(". The end of the recording makes a finished log of it")
         for name in (tmp_path / "lake.mcap", Path(os.path.relpath(tmp_path / "lake.mcap"))):
             with pytest.raises(LogError, match=r"lake\.mcap: the running recording will get this name"):
                 recover(part, name)

@@ -71,7 +71,7 @@ def change_tags(bench: Workbench, place: Place, path: Location, change: TagChang
             raise WebError(f"rows {first} to {last}: the first row, then the last one", 422)
     with bench.logs.open(path) as opened:
         if opened.log.problem:
-            raise WebError(f"{opened.log.notice}; tag the recovered log", 409)
+            raise WebError(f"{opened.log.notice}; tag that one", 409)
         if opened.log.fingerprint != change.log:
             raise WebError("the log has been replaced since this page was opened: reload it", 409)
         check_rows(opened.log, (min(first for first, _ in change.rows), max(last for _, last in change.rows)))
