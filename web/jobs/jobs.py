@@ -161,7 +161,9 @@ class Jobs:
         """A text that changes when a job starts, prints or ends, and every five seconds of a running job."""
         states = ((job, version_of(job.folder / OUTPUT, job.folder / EXIT)) for job in self.all())
         # pages show how long a job has run
-        return digest(f"{job.key} {version} {job.is_running and 5 * (job.seconds // 5)}" for job, version in states)
+        return digest(
+            f"{job.key} {version} {job.is_running and 5 * (job.seconds // 5)}" for job, version in states
+        )
 
     def training(self, page: str) -> Job | None:
         """The running training of the run with that page."""

@@ -33,7 +33,6 @@ from web.index.index_view import (
 )
 from web.jobs.job_forms import INDEX_FIELDS, form_of, suggested_sessions
 from web.logs.session_cards import IndexState
-from web.pages.changes import sessions_version
 from web.pages.request_values import Values, number_in, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_configs import differing, index_checksum, origin_of
@@ -51,7 +50,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         values = dict(request.query_params)
         trial = values.pop("trial", "")
-        live = sessions_version(bench)
+        live = bench.sessions_version()
         store_problem = bench.folders.refresh_index()
         index = bench.folders.local_index
         now, problem = _view(index)
