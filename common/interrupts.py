@@ -22,11 +22,7 @@ from types import FrameType
 from typing import ClassVar, Final, Self
 
 SIGHUP: Final = getattr(signal, "SIGHUP", None)  # None on Windows
-STOP_SIGNALS: Final[tuple[signal.Signals, ...]] = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    *([] if SIGHUP is None else [SIGHUP]),
-)
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, *filter(None, [SIGHUP]))
 """The signals that ask a command to end."""
 
 FORCE_QUIT_HINT_AFTER_S: Final = 2.0
