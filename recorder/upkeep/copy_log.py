@@ -185,13 +185,11 @@ def _upload_tags(log: Path, url: Url, overwrite: bool) -> str:
     if not file.is_file():
         return ""
     tags = file.read_bytes()
-    if overwrite:
-        put_over(stored, tags)
-        return ""
     try:
-        put_new(stored, tags)
+        (put_over if overwrite else put_new)(stored, tags)
     except ObjectExistsError:
-        return "" if read_object(stored, MAX_BYTES) == tags else _other_tags(file, stored)
+        if read_object(stored, MAX_BYTES) != tags:
+            return _other_tags(file, stored)
     return ""
 
 
