@@ -31,7 +31,6 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
     An integer stays an integer in a float field, so that it is printed and written as it was stored. Raises
     ValueError for unknown names and invalid values.
     """
-    names = {field.name for field in fields(kind)}
     if isinstance(stored, dict):
         removed = getattr(kind, "EARLIER_ONLY", {})
         stored = {
@@ -39,8 +38,9 @@ def settings_from(kind: type[Settings], stored: Any) -> Settings:
             for name, value in stored.items()
             if name not in removed or (removed[name] is not ... and removed[name] != value)
         }
-    if isinstance(stored, dict) and (unknown := sorted(map(str, stored.keys() - names))):
-        raise ValueError(f"unknown settings: {', '.join(unknown)}{did_you_mean(unknown[0], names, '; ')}")
+        names = {field.name for field in fields(kind)}
+        if unknown := sorted(map(str, stored.keys() - names)):
+            raise ValueError(f"unknown settings: {', '.join(unknown)}{did_you_mean(unknown[0], names, '; ')}")
     try:
         earlier = getattr(kind, "EARLIER", {})
         settings = msgspec.convert({**earlier, **stored} if isinstance(stored, dict) else stored, kind)
