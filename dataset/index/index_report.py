@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 
 from rich.markup import escape
@@ -123,6 +124,9 @@ def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
 
 
 def _bar(count: int, widest: int) -> str:
-    """A bar in steps of an eighth of a cell; a count above 0 has at least one step."""
+    """A bar in steps of an eighth of a cell; a count above 0 has at least one step. An encoding without blocks, as
+    Windows gives to a file of `bc-index > FILE`, gets "#" for each begun cell."""
     eighths = max(round(BAR_CELLS * 8 * count / widest), int(count > 0))
+    if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
+        return "#" * -(-eighths // 8)
     return "█" * (eighths // 8) + ("", "▏", "▎", "▍", "▌", "▋", "▊", "▉")[eighths % 8]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import sys
+
 import numpy as np
 import pytest
 
@@ -31,3 +34,13 @@ def test_of_bins_that_differ_each_is_shown(capsys: pytest.CaptureFixture[str]) -
         ["-0.33 .. +0.33", "5", "3", ""],
         ["+0.33 .. +1.00", "0", "0", "empty"],
     ]
+
+
+def test_bars_are_of_characters_that_the_output_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On Windows, a file of `bc-index > FILE` is in cp1252, which has no blocks."""
+    stdout = io.TextIOWrapper(io.BytesIO(), "cp1252")
+    monkeypatch.setattr(sys, "stdout", stdout)
+    print_table(balance_table(Balance(np.array([1, 80, 1]), np.array([1, 40, 1]), 3, {})))
+    stdout.seek(0)
+    bars = [line.split("|")[3].strip() for line in stdout.read().splitlines() if line.startswith("| 0.")]
+    assert bars == ["#" * 13, "#"]
