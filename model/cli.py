@@ -14,7 +14,7 @@ from common import UserError
 from common.allowed_places import allow_places
 from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, first_of, printable
-from common.files import refuse_existing, short_path
+from common.files import short_path
 from common.location import Location, Url, absolute, is_in_store, local_path, location
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
@@ -232,7 +232,8 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     from model.runs.reproduce import logs_with_takeovers
 
     index = local_path(config.index).with_name(f"index-{run.name}")
-    refuse_existing(index, overwrite=False)
+    if index.exists() or index.is_symlink():
+        raise UserError(f"{index} exists already, perhaps of a stopped training: remove it, or give a new --name")
     takeovers: list[Location] = []
     if init is not None and config.takeovers:
         before, takeovers, settings = logs_with_takeovers(
