@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from common.errors import first_of
+from common.files import session_name
 from common.location import Location, absolute, local_path
 from common.random_access import file_exists
 from common.stored_settings import settings_from
@@ -21,6 +22,7 @@ from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, load_config, run_name
 from model.runs.run_inputs import log_to_open, logs_of
+from recorder import Log
 
 
 def index_of_run(
@@ -46,12 +48,12 @@ def index_of_run(
         else name
         for name in fingerprints
     ]
-    for notice in build_index(find_logs(logs, sessions), local_path(own), settings).notices:
+    found = find_logs(logs, sessions)
+    if changed := [name for place in found if _fingerprint(place) != fingerprints[name := session_name(place)]]:
+        raise RunError(f"{sessions}: {first_of(changed)} changed since {run} was trained on them")
+    for notice in build_index(found, local_path(own), settings).notices:
         on_notice(notice)
     with Samples(own) as samples:
-        changed = [name for name, log in samples.sources.items() if log.fingerprint != fingerprints[name]]
-        if changed:
-            raise RunError(f"{sessions}: {first_of(changed)} changed since {run} was trained on them")
         if not is_trained_on(stored, run, samples):
             raise RunError(
                 f"{own}: the same logs and settings as {run} had, but other samples: the tags of the logs have"
@@ -59,6 +61,11 @@ def index_of_run(
                 " index"
             )
     return own
+
+
+def _fingerprint(place: Location) -> str:
+    with Log(place) as log:
+        return log.fingerprint
 
 
 def logs_with_takeovers(

@@ -189,3 +189,16 @@ def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     capsys.readouterr()
     assert call(main, "--name", "again", "--like", "first") == 3
     assert notice in capsys.readouterr().err.splitlines()
+
+
+def test_no_index_is_built_of_logs_that_have_changed(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("sessions").mkdir()
+    write_log(Path("sessions/lake.mcap"), STEERING, road, cameras=["center"])
+    flags = ["--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
+    assert call(main, "--name", "first", *flags) in (0, 3)  # nothing may be held out
+    write_log(Path("sessions/lake.mcap"), STEERING[:-9], road, cameras=["center"], overwrite=True)
+    before = sorted(cwd.rglob("*"))
+    capsys.readouterr()
+    assert call(main, "--name", "again", "--like", "first") == 1
+    assert "sessions: lake changed since runs/first was trained on them" in capsys.readouterr().err
+    assert sorted(cwd.rglob("*")) == before
