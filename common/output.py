@@ -71,6 +71,11 @@ def ask(question: str) -> bool | None:
     return False
 
 
+def prints_unicode() -> bool:
+    """True if the encoding of stdout has all characters."""
+    return (sys.stdout.encoding or "utf-8").lower().startswith("utf")
+
+
 def print_table(*parts: RenderableType) -> None:
     """Print tables, and lines between them, on stdout. Pass untrusted text through `escape(printable(...))`.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 
 from rich.markup import escape
@@ -11,7 +10,7 @@ from rich.table import Table
 from common.command import DONE, warn
 from common.errors import counted, first_of, printable
 from common.location import Location
-from common.output import print_message
+from common.output import print_message, prints_unicode
 from dataset.index.build import Indexed
 from dataset.index.not_learnt import not_learnt_line
 from dataset.index.sessions import unfinished_recordings
@@ -127,6 +126,6 @@ def _bar(count: int, widest: int) -> str:
     """A bar in steps of an eighth of a cell; a count above 0 has at least one step. An encoding without blocks, as
     Windows gives to a file of `bc-index > FILE`, gets "#" for each begun cell."""
     eighths = max(round(BAR_CELLS * 8 * count / widest), int(count > 0))
-    if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
+    if not prints_unicode():
         return "#" * -(-eighths // 8)
     return "█" * (eighths // 8) + ("", "▏", "▎", "▍", "▌", "▋", "▊", "▉")[eighths % 8]
