@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
@@ -62,6 +62,16 @@ def find_unchanged_log(session: Location | str, folder: Location | str, fingerpr
                 f"{path}: changed since the run learned from it; give the unchanged logs with --sessions"
             )
     return path
+
+
+def changed_logs(logs: Iterable[Location], fingerprints: Mapping[str, str]) -> list[str]:
+    """The names of the sessions whose logs have other fingerprints than these. Raises LogError."""
+    changed = []
+    for place in logs:
+        with Log(place) as log:
+            if log.fingerprint != fingerprints[session_name(place)]:
+                changed.append(session_name(place))
+    return changed
 
 
 def by_session_name(logs: Iterable[Location]) -> dict[str, Location]:

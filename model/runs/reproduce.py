@@ -10,19 +10,17 @@ from typing import Any
 import msgspec
 
 from common.errors import first_of
-from common.files import session_name
 from common.location import Location, absolute, local_path
 from common.random_access import file_exists
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.errors import PlaceNotAllowedError
-from dataset.index.sessions import find_unchanged_log
+from dataset.index.sessions import changed_logs, find_unchanged_log
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, load_config, run_name
 from model.runs.run_inputs import log_to_open, logs_of
-from recorder import Log
 
 
 def index_of_run(
@@ -49,7 +47,7 @@ def index_of_run(
         for name in fingerprints
     ]
     found = find_logs(logs, sessions)
-    if changed := [name for place in found if _fingerprint(place) != fingerprints[name := session_name(place)]]:
+    if changed := changed_logs(found, fingerprints):
         raise RunError(f"{sessions}: {first_of(changed)} changed since {run} was trained on them")
     for notice in build_index(found, local_path(own), settings).notices:
         on_notice(notice)
@@ -61,11 +59,6 @@ def index_of_run(
                 " index"
             )
     return own
-
-
-def _fingerprint(place: Location) -> str:
-    with Log(place) as log:
-        return log.fingerprint
 
 
 def logs_with_takeovers(
