@@ -232,10 +232,10 @@ class Samples(Closeable):
         """The samples that have these values (column=value)."""
         parts = []
         with self._readable():
-            for part in self._groups(columns):
+            for part in self._groups(columns and tuple(dict.fromkeys((*columns, *values)))):
                 for name, value in values.items():
                     part = part.filter(pc.equal(part[name], value))
-                parts.append(part)
+                parts.append(part.select(columns) if columns else part)
             return pa.concat_tables(parts)
 
     def _groups(self, columns: Sequence[str] | None) -> Iterator[pa.Table]:

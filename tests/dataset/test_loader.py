@@ -470,6 +470,14 @@ def test_an_index_that_makes_no_sense_is_refused(own: Path, change: Callable[[pa
     assert "\n" not in str(caught.value)
 
 
+def test_some_columns_of_a_split_are_read(index: Path) -> None:
+    """Also without the column `split`."""
+    with Samples(index) as samples:
+        table = samples.of_split("train", ("label", "camera"))
+    assert table.column_names == ["label", "camera"]
+    assert table["label"].to_pylist() == [row["label"] for row in rows_of(index)]
+
+
 def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
     def read() -> pa.Table:
         with Samples(own) as samples:
