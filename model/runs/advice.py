@@ -45,7 +45,7 @@ def advice(numbers: RunNumbers) -> Advice:
 def is_being_trained(numbers: RunNumbers) -> Advice | None:
     if not numbers.is_training:
         return None
-    return Advice(f"it is being trained, {counted(len(numbers.epochs), 'epoch')} are learnt", "bc-web --open")
+    return Advice(f"it is being trained, {counted(numbers.learnt, 'epoch')} are learnt", "bc-web --open")
 
 
 def has_wrong_labels(numbers: RunNumbers) -> Advice | None:
@@ -63,7 +63,7 @@ def has_wrong_labels(numbers: RunNumbers) -> Advice | None:
 
 
 def is_unfinished(numbers: RunNumbers) -> Advice | None:
-    learnt, asked = len(numbers.epochs), numbers.training.epochs
+    learnt, asked = numbers.learnt, numbers.training.epochs
     if learnt >= asked or numbers.training.patience:
         return None
     return Advice(f"stopped after {learnt:,} of {counted(asked, 'epoch')}", f"bc-train --resume {numbers.run}")
@@ -75,7 +75,7 @@ def has_worse_answers(numbers: RunNumbers) -> Advice | None:
     kept = numbers.kept
     if (
         kept is None
-        or len(numbers.epochs) < FEW_EPOCHS
+        or numbers.learnt < FEW_EPOCHS
         or kept.learnt is None
         or kept.answers == AnswerScale()
         or kept.measures.frames < FEW_FRAMES
@@ -117,7 +117,7 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
     """The network left the road: an expert takes over where it errs, and it learns from the takeovers
     (docs/studies/takeovers.md)."""
     failed = [drive for drive in numbers.drives if _interventions(drive)]
-    if not failed or len(numbers.epochs) < FEW_EPOCHS:
+    if not failed or numbers.learnt < FEW_EPOCHS:
         return None
     worst = max(failed, key=_interventions)
     track, speed = str(worst["track"]), float(worst["set_speed_mph"])
@@ -130,7 +130,7 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
 
 def is_still_improving(numbers: RunNumbers) -> Advice | None:
     epochs = [epoch for epoch in numbers.epochs if epoch.measures.frames]
-    more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * len(numbers.epochs))}"
+    more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * numbers.learnt)}"
     if not epochs:
         return None
     errors = [epoch.measures.driving_error for epoch in epochs]

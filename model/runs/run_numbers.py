@@ -108,6 +108,11 @@ class RunNumbers:
     has_crashes: bool = False  # measured rows include crashes, because an earlier version's index held them out
 
     @property
+    def learnt(self) -> int:
+        """The number of the last epoch. `epochs` may lack some: a long history is thinned, a line may be broken."""
+        return self.epochs[-1].epoch if self.epochs else 0
+
+    @property
     def kept(self) -> Epoch | None:
         return next((epoch for epoch in reversed(self.epochs) if epoch.is_best), None)
 

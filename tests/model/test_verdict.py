@@ -334,6 +334,13 @@ def test_the_rules_have_an_end() -> None:
     assert verdict_of(empty).summary == "nothing was held out, so its error is unknown"
 
 
+def test_a_finished_training_whose_history_lacks_epochs_is_finished() -> None:
+    """A very long training removes every second line of its history; and a line may be broken."""
+    lacking = WEAK[1::2]
+    assert len(lacking) == 5
+    assert verdict_of(numbers(epochs=lacking)).advice == verdict_of(numbers(epochs=WEAK)).advice
+
+
 def test_before_the_first_epoch_frames_are_held_out_but_not_measured() -> None:
     verdict = verdict_of(numbers(epochs=[]))
     assert verdict.summary == "no epoch has ended, so its error is unknown"
