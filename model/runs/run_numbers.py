@@ -109,7 +109,7 @@ class RunNumbers:
 
     @property
     def learnt(self) -> int:
-        """The number of the last epoch. `epochs` may lack some: a long history is thinned, a line may be broken."""
+        """The last epoch. `epochs` may lack some before it: a long history is thinned, a line may be broken."""
         return self.epochs[-1].epoch if self.epochs else 0
 
     @property
