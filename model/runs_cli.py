@@ -168,7 +168,7 @@ def _words_explained(runs: Sequence[RunSummary]) -> list[str]:
 
     meanings = {
         NO_BETTER: "than always predicting the mean, on turns, in the driving error or in the RMSE",
-        UNKNOWN: "nothing was held out, or no epoch has ended",
+        UNKNOWN: "nothing was held out, or no epoch has ended, or the steering held out never changes",
     }
     shown = {run.verdict.in_short for run in runs if run.verdict}
     return [f"{word}: {meaning}" for word, meaning in meanings.items() if word in shown]
