@@ -43,7 +43,7 @@ class Eval:
     index: Annotated[LocationFlag | None, _default("PATH|URL", "the run's index")] = None
     """The index to measure on."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
-    """Frames held out, or those for training."""
+    """Frames held out, or training's balanced ones."""
     session: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="SESSION [SESSION ...]")] = None
     """Measure on these whole sessions, without an index."""
     sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
