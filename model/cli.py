@@ -136,7 +136,7 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     best = trained.best_epoch
     for line in outcome_lines(read_epochs(run), best, settings.keep) if best else ():
         print_result(line)
-    drive = run_numbers(run, load_config(run), ()).drive_command + _network_flag(run)
+    drive = run_numbers(run, load_config(run), ()).drive_command
     print_result(f"{run / WEIGHTS}: the weights of epoch {best}; drive with `{drive}`")
     if best:
         print_result(*judge(run).lines)
@@ -167,22 +167,15 @@ def _resumed_at(run: Path, epochs: int) -> str:
 
 
 def _resume(run: Path, index: Location) -> str:
+    from model.runs.network_of_run import own_network_flag
     from model.runs.run_arguments import run_argument
+    from model.runs.run_folder import load_config
     from model.runs.run_inputs import index_of
 
     stored = index_of(run)
     is_stored = stored is not None and absolute(stored) == absolute(index)
     given = "" if is_stored else f" --index {shlex.quote(str(index))}"
-    return f"bc-train --resume {run_argument(run)}{_network_flag(run)}{given}"
-
-
-def _network_flag(run: Path) -> str:
-    """The flag that names a user's own network, whose code never runs unasked; empty for other networks."""
-    from model.runs.network_of_run import network_flag, stored_network
-    from model.runs.run_folder import load_config
-
-    stored = stored_network(load_config(run), run)
-    return f" {network_flag(stored, run)}" if is_own(stored.name) else ""
+    return f"bc-train --resume {run_argument(run)}{own_network_flag(load_config(run), run)}{given}"
 
 
 def _listeners(config: Train, run: Path) -> list[Listener]:

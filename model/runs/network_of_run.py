@@ -4,6 +4,7 @@ the user names it, too."""
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -107,6 +108,16 @@ def network_flag(stored: StoredNetwork, folder: Path) -> str:
     if is_own(name) and is_file(name) and (folder / NETWORK_FILE).is_file():
         name = f"{folder / NETWORK_FILE}:{name.rpartition(':')[2]}"
     return f"--network {shlex.quote(name)}"
+
+
+def own_network_flag(config: Mapping[str, Any], folder: Path) -> str:
+    """The flag after a run's name that names a user's own network, whose code never runs unasked; empty for other
+    networks, and for unknown ones."""
+    try:
+        stored = stored_network(dict(config), folder)
+    except RunError:
+        return ""
+    return f" {printable(network_flag(stored, folder))}" if is_own(stored.name) else ""
 
 
 def light_of(config: dict[str, Any], folder: Path) -> Light:

@@ -19,6 +19,7 @@ from model.metrics import BinErrors, Measures
 from model.runs.enough_to_drive import Drivable, Hand, drivable
 from model.runs.history_lines import parse_measures
 from model.runs.kept_results import KeptResult
+from model.runs.network_of_run import own_network_flag
 from model.runs.run_arguments import RUNS, run_argument
 from model.runs.training_progress import Epoch
 
@@ -93,7 +94,7 @@ class StoredTraining(msgspec.Struct):
 class RunNumbers:
     """A run in numbers. The verdict judges the errors `measured`, by default those of the kept epoch."""
 
-    run: str  # as an argument of a command
+    run: str  # as an argument of a command, with the flag that names a user's own network
     measured: Measures | None
     epochs: tuple[Epoch, ...] = ()
     training: StoredTraining = field(default_factory=StoredTraining)
@@ -209,7 +210,7 @@ def run_numbers(
         index = os.path.normpath(run / index)
     kept = next((epoch for epoch in reversed(epochs) if epoch.is_best and epoch.measures.frames), None)
     numbers = RunNumbers(
-        run_argument(run),
+        f"{run_argument(run)}{own_network_flag(config, run)}",
         None if kept is None else kept.measures,
         tuple(epochs),
         training,

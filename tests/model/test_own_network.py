@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -133,6 +134,19 @@ def test_nobodys_code_runs_because_a_run_names_it(
     assert call(main, "--resume", "mine", "--runs", run.parent, "--epochs", 2, *flag.split()) == 0
     assert "mine: net.py:Stranger, " in capsys.readouterr().out
     assert load_pilot(run)  # it was named by now
+
+
+def test_commands_to_paste_name_the_network(
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, run = trained(index, tmp_path)
+    flag = ["--network", f"{run / 'network.py'}:Net"]
+    assert call(main, "--resume", "mine", "--runs", run.parent, "--epochs", 2, *flag) == 0
+    printed = capsys.readouterr().out.splitlines()
+    for line, begin in zip(printed[-3::2], ("drive with `bc-drive", "next: `bc-"), strict=True):
+        _, command = line.split(begin, 1)
+        assert shlex.split(command.split("`")[0])[1:].count("--network") == 1, line
+        assert " ".join(flag) in command
 
 
 def test_a_module_that_a_run_names_is_not_imported(tmp_path: Path) -> None:
