@@ -53,7 +53,7 @@ def reaction_time(frames: pa.Table) -> ReactionTime | None:
             break
         if delay_s and not after_s[is_known].any():
             continue  # shorter than half a step: fewer frames than at 0, but none later
-        # the last frames before a pause have no later steering: without them, another correlation at once, too
+        # the last frames before a pause have no later steering: `at_once` leaves them out, too
         correlation, at_once = (
             errors(predicted[is_known], steering[is_known]).correlation for steering in (later, recorded)
         )
