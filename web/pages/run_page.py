@@ -66,8 +66,8 @@ def run_routes(bench: Workbench) -> list[Route]:
         return bench.folders.run(key)
 
     def whole(request: Request) -> Response:
-        live = "; ".join((bench.runs_version(), bench.sessions_version(), bench.drives_version()))
-        key = request.path_params["run"]
+        # without the versions of logs, which may still be read: the first poll refreshes it
+        live, key = bench.runs_version(), request.path_params["run"]
         path = _run(key)
         cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")
