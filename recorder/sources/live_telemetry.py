@@ -223,6 +223,8 @@ class _Session:
                 self._separators[sid] = telemetry.observed_separator
             check_whole_picture(telemetry.picture)
         except TelemetryError as error:
+            if error.decimal_separator is not None:
+                self._separators[sid] = error.decimal_separator
             return error
         return telemetry
 

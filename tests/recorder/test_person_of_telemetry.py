@@ -119,6 +119,14 @@ def test_a_person_answers_telemetry_and_it_is_recorded_as_steered(tmp_path: Path
     assert not check(drive.log).findings
 
 
+def test_commas_are_answered_with_commas_from_the_first_message(tmp_path: Path) -> None:
+    with Drive(tmp_path / "mine.mcap").running() as drive:
+        numbers = {"steering_angle": "5,0000", "throttle": "0,2500", "speed": "8,0000"}
+        _, command = drive.simulator.tell({**numbers, "image": "?"})  # unusable, but answered
+        assert command["steering_angle"] == "0,000000"
+        drive.end()
+
+
 def test_the_last_seconds_can_be_tagged_as_bad(tmp_path: Path) -> None:
     with Drive(tmp_path / "a.mcap").running() as drive:
         drive.drive(8.0, 0.0)
