@@ -423,15 +423,19 @@ def test_a_port_in_use_is_one_line_and_writes_nothing(drive: Drive) -> None:
     assert not (drive.log.parent / "second.mcap").exists()
 
 
-def pictures_so_far(part: Path) -> list[bytes]:
-    """The centre camera's, in a log that is being written or was cut off: by mcap's own reader."""
-    pictures = []
+def messages_so_far(part: Path, topic: str) -> list[bytes]:
+    """The messages of a topic, in a log that is being written or was cut off: by mcap's own reader."""
+    messages = []
     with part.open("rb") as stream, contextlib.suppress(McapError, EOFError):  # the end is cut
         reader = NonSeekingReader(stream, validate_crcs=True)
         for _, channel, message in reader.iter_messages(log_time_order=False):
-            if channel.topic == "/camera/center":
-                pictures.append(CompressedImage.FromString(message.data).data)
-    return pictures
+            if channel.topic == topic:
+                messages.append(message.data)
+    return messages
+
+
+def pictures_so_far(part: Path) -> list[bytes]:
+    return [CompressedImage.FromString(data).data for data in messages_so_far(part, "/camera/center")]
 
 
 def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path: Path) -> None:
@@ -443,7 +447,7 @@ def test_a_killed_drive_leaves_a_part_that_can_be_read(pilot_run: Path, tmp_path
         for i in range(len(jpegs)):
             answer_to(client, fields(i))
         (part,) = tmp_path.glob("run.mcap.*.part")
-        wait_until(lambda: len(pictures_so_far(part)) == len(jpegs))
+        wait_until(lambda: len(messages_so_far(part, "/pilot/command")) == len(jpegs))  # the last of each row
         assert server.end(signal.SIGKILL) == -signal.SIGKILL
         client.close()
     assert not log.exists()
