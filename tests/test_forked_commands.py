@@ -58,7 +58,9 @@ def test_a_fork_ends_as_a_start_does(end: str, code: int, tmp_path: Path) -> Non
 
 
 def test_a_fork_is_stopped_as_a_start_is() -> None:
-    fork = SERVER.start("import time; print('begun', flush=True); time.sleep(600)", [], None, environment())
+    # a signal just before a sleep is handled only after it
+    code = "import time\nprint('begun', flush=True)\nwhile True: time.sleep(0.1)"
+    fork = SERVER.start(code, [], None, environment())
     assert fork.stdout is not None
     assert fork.stderr is not None
     with fork.stdout, fork.stderr:
