@@ -58,6 +58,7 @@ function showProgress(progress) {
   const [bar, words] = by("progress").children;
   const { pictures = 0, total = 0, stage = "", left_s: leftS, is_begun: isBegun } = progress ?? {};
   bar.value = total ? pictures / total : 0;
+  by("stop").disabled = !progress; // the server has not named the work yet
   const left = leftS == null ? "" : `, ${clock(leftS)} left`;
   if (progress && !isBegun) words.textContent = "waiting for another map";
   else if (!pictures) words.textContent = "starting";
