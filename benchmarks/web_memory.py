@@ -127,9 +127,7 @@ def uses() -> dict[str, Callable[[], object]]:
         "rerun": rerun,
     }
     if runs:
-        requests["runs"] = lambda: at_once(
-            [f"/runs/{run}{part}" for run in runs for part in ("", "/top", "/body", "/steering.png")] * 3
-        )
+        requests["runs"] = lambda: at_once([f"/runs/{run}" for run in runs] * 3)
         requests["predictions"] = predict
         requests["attention"] = lambda: at_once(
             [f"/sessions/{log}/attention/{run}/{row}" for row in range(0, 300, 3)]

@@ -78,7 +78,7 @@ def test_frames_that_a_run_has_learnt_from_are_named(tmp_path: Path) -> None:
         untrained_run(tmp_path / "runs" / name)
     with served(tmp_path) as bench:
         a_job(bench, json.dumps(measured(learnt={"a": 1100, "b": 0}, skipped={"x.mcap": 2})), 3)
-        text = plain(bench.get("/runs.compare.body?a=a&b=b").text)
+        text = plain(bench.get("/runs.compare?a=a&b=b").text)
     assert "A has learnt from 1,100 of these frames: on other frames it may be worse" in text
     assert "B has learnt" not in text
     assert "2 pictures left out, because they do not decode" in text

@@ -110,7 +110,7 @@ def test_a_training_leads_to_its_run_whatever_becomes_of_it(bench: Served) -> No
 def test_the_page_of_a_run_that_never_began_says_why(bench: Served) -> None:
     job = start(bench, form="train", name="mine", epochs="1")  # without sessions
     assert "Train mine: has not begun yet; reload this page in a moment" in text(bench, "/runs/mine")
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, f"{job}"))
     assert "Train mine: failed, and left no run; Jobs shows its output" in text(bench, "/runs/mine")
     assert "nothing printed yet" not in text(bench, job)
 
@@ -124,7 +124,7 @@ def test_a_job_shows_its_present_duration(bench: Served) -> None:
     about.write_text(json.dumps(began))
     assert bench.get("/changes").json["jobs"] != version
     bench.post(f"{job}/stop")
-    wait_until(lambda: "running" not in text(bench, f"{job}/body"))
+    wait_until(lambda: "running" not in text(bench, f"{job}"))
 
 
 def test_what_is_missing_leads_to_the_list_that_it_would_be_in(bench: Served) -> None:

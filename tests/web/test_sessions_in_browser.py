@@ -49,7 +49,7 @@ def test_a_search_typed_during_a_restart_is_answered(browser: Browser, tmp_path:
             page.goto(f"{bench.address}/sessions")
             page.wait_for_selector("#s-mountain")
         page.wait_for_selector("#status:text('bc-web does not answer')")
-        with page.expect_event("requestfailed", lambda request: "/sessions.rows" in request.url):
+        with page.expect_event("requestfailed", lambda request: "/sessions?" in request.url):
             page.fill("input[name=text]", "lake")
         with served(tmp_path, port=port):
             page.wait_for_selector("#s-mountain", state="detached")
