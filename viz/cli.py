@@ -88,6 +88,7 @@ def _check_logs(paths: Sequence[Path], at_s: float | None = None) -> None:
     from recorder import Log, LogError
     from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
     from recorder.mcap.scan import counts_no_message
+    from viz.live.live_log import is_finished
 
     for path in dict.fromkeys(paths):
         with McapFile(path) as file:
@@ -98,7 +99,7 @@ def _check_logs(paths: Sequence[Path], at_s: float | None = None) -> None:
         with Log(path) as log:
             if not log.has_crcs:
                 print_message(f"{path}: {WITHOUT_CRCS}")
-    if at_s is not None:
+    if at_s is not None and all(map(is_finished, paths)):  # an unfinished log would be read whole
         from viz.playback.rerun_recording import check_moment
 
         with contextlib.ExitStack() as stack:
