@@ -9,18 +9,27 @@ SOURCES := $(ROOMS) tests benchmarks studies docs examples
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 # tests start hundreds of processes: Python may always write compiled modules, so that each is compiled once
-test test-browser test-long coverage: export PYTHONDONTWRITEBYTECODE :=
+test test-installed test-long coverage: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install install-dev demo test test-browser test-long coverage bench check check-style check-types check-types-windows docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
+.PHONY: install install-dev demo test test-installed test-long coverage bench check check-style check-types check-types-windows docs site pictures proto foxglove-reader azurite lerobot-reader donkeycar clean
+
+# PyTorch's build: cpu, cuda, or by itself: cuda where a driver of NVIDIA is found (elsewhere than on Linux, PyTorch has one build)
+TORCH := $(if $(wildcard /proc/driver/nvidia/version /dev/nvidiactl /dev/dxg),cuda,cpu)
+TORCH_CPU_INDEX := https://download.pytorch.org/whl/cpu
+PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 # for users; the targets for tests, checks and docs install more
 install: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
-	@echo "Installing PyTorch, Rerun and other packages into $(VENV): a few minutes, and 2 GB of disk."
-	@echo "On Linux, PyTorch's GPU libraries take 4 GB more (README.md says how to install without them)."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[web]"
+ifeq ($(shell uname -s)-$(TORCH),Linux-cpu)
+	@echo "PyTorch without CUDA, because there is no NVIDIA driver here: 'make install TORCH=cuda' chooses otherwise."
+	$(PIP) --retries 1 --timeout 15 install --quiet --no-deps --index-url $(TORCH_CPU_INDEX) "$$(grep '^torch==' constraints.txt)" || \
+	  echo "$(TORCH_CPU_INDEX) has no build for this Python, or is out of reach: PyTorch with CUDA, 4 GB more."
+endif
+	@echo "Installing PyTorch, Rerun and other packages into $(VENV): a few minutes, and 2 GB of disk (with CUDA: 6 GB)."
+	$(PIP) install -c constraints.txt -e .
 	@touch $@
 	@echo "Installed, $$(du -sh $(VENV) | cut -f1). The commands are in $(BIN): type $(BIN)/bc-demo,"
 	@echo "or once in each terminal 'source $(BIN)/activate', then bc-demo."
@@ -28,18 +37,19 @@ $(VENV)/installed: pyproject.toml constraints.txt
 install-dev: $(VENV)/installed-dev
 
 $(VENV)/installed-dev: $(VENV)/installed
-	$(BIN)/pip install --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(PIP) install -c constraints.txt -e ".[dev]"
 	@touch $@
 
 demo: install
 	$(BIN)/bc-demo
 
+# what needs more than that is skipped; the last lines say how much, why, and how to get it
 test: $(VENV)/installed-dev
-	$(PYTEST) -m "not long and not browser"
+	$(PYTEST) -m "not long"
 
-# tests of pages in Chromium, which must be installed
-test-browser: $(VENV)/installed-dev
-	$(PYTEST) -m "browser and not long"
+# the wheel, installed as the README says, and every command and page of it; then each extra
+test-installed: $(VENV)/installed-dev
+	$(BIN)/python -m pytest tests/installed --override-ini testpaths= -m "" -x
 
 # slow tests (each byte damaged, each moment stopped), and tests of random inputs with twenty times as many inputs
 test-long: $(VENV)/installed-dev
@@ -80,7 +90,7 @@ site: $(VENV)/installed-docs
 	@echo "build/site/index.html"
 
 $(VENV)/installed-docs: $(VENV)/installed-dev
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
+	$(PIP) install --quiet -c constraints.txt -e ".[docs]"
 	@touch $@
 
 pictures: $(VENV)/installed-dev

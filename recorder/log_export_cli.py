@@ -33,7 +33,7 @@ class ExportLogs:
     license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
     """Licence of the recordings, by its Hugging Face name, such as cc-by-4.0."""
     video: bool = False
-    """Encode pictures as videos: a third smaller, but lossy. Needs PyAV."""
+    """Encode pictures as videos: a third smaller, but lossy."""
 
     def run(self) -> int:
         from recorder.lerobot.export import export_lerobot  # OpenCV and Arrow

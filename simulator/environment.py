@@ -1,7 +1,6 @@
 """The built-in simulator as a Gymnasium environment: `gymnasium.make("simulator:bc/Lake-v0")`.
 
-Gymnasium is an optional package: `pip install ".[gym]"`. docs/gymnasium.md describes observations, actions and
-rewards.
+docs/gymnasium.md describes observations, actions and rewards.
 """
 
 from __future__ import annotations

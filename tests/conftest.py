@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import sysconfig
+from collections import Counter
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,8 +16,8 @@ import pytest
 from hypothesis import settings
 
 from chromium import chromium
+from needs import RECORDINGS, require
 from places import Place, as_bucket, url_within
-from repository import ROOT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -40,7 +41,6 @@ _FOLDERS: Final = ("web", "drive", "tests", "model", "viz", "common", "simulator
 
 def pytest_configure(config: pytest.Config) -> None:
     gc.disable()  # a tenth of the collection, which makes no garbage to speak of
-    config.option.reportchars += "s"  # what was not run is said at the end, with the reason
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # no windows open because somebody tests
         os.environ.pop(name, None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell starts what is in the background like that
@@ -50,9 +50,6 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)  # before those of other marks are left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files of few and long tests first: at the end no process waits for another one's minute."""
-    for item in items:
-        if "browser" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.browser)
     place = {folder: number for number, folder in enumerate(_FOLDERS)}
     items.sort(key=lambda item: place.get(item.path.parent.name, 0))
 
@@ -60,6 +57,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     gc.enable()
     gc.freeze()  # what is loaded by now stays: else each collection of garbage looks through PyTorch again
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    for mark in item.iter_markers("needs"):
+        require(mark.args[0])
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say last which tests were skipped and why."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in skipped)
+    for reason, count in reasons.most_common():
+        terminalreporter.write_line(f"skipped {count}: {reason}")
 
 
 def pytest_sessionfinish() -> None:
@@ -82,12 +93,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.fixture(scope="session")
 def recordings() -> Path:
-    """The folder of real recordings: ../shared/recordings, or BC_RECORDINGS."""
-    beside = ROOT.parent / "shared" / "recordings"
-    folder = Path(os.environ.get("BC_RECORDINGS", beside))
-    if not folder.is_dir():
-        pytest.skip(f"real recordings were not tried: there is no {folder}; BC_RECORDINGS names another folder")
-    return folder
+    """The folder of real recordings."""
+    require("recordings")
+    return RECORDINGS
 
 
 @pytest.fixture(scope="session")

@@ -59,6 +59,7 @@ SOURCES: dict[str, Callable[[Path], list[object]]] = {
 }
 
 
+@pytest.mark.needs("box2d")
 def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

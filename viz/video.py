@@ -1,7 +1,4 @@
-"""A log as a video: the centre camera's pictures with their timing, as H.264 in an .mp4 that plays everywhere.
-
-PyAV is an extra: `pip install ".[video]"`.
-"""
+"""A log as a video: the centre camera's pictures with their timing, as H.264 in an .mp4 that plays everywhere."""
 
 from __future__ import annotations
 
@@ -21,7 +18,6 @@ from common import Skipped, UserError, atomic_file
 from common.errors import counted
 from common.files import refuse_existing, write_remedy
 from common.progress import track
-from common.versions import install_line
 from dataset.preprocessing import decode
 from recorder import Log, LogError
 from recorder.rows.row_quality import GAP_S
@@ -93,10 +89,9 @@ def write_video(
     """Write the log at `path` as `video`, an .mp4 that plays `speed` times as fast as the drive.
 
     `overlay` draws instruments below the pictures. An unfinished log is shown up to its last complete chunk.
-    Raises LogError if the log cannot be read. Raises UserError if PyAV is not installed, if the log has no picture
-    of the centre camera, if `video` exists and may not be overwritten, or if the disk is full.
+    Raises LogError if the log cannot be read. Raises UserError if the log has no picture of the
+    centre camera, if `video` exists and may not be overwritten, or if the disk is full.
     """
-    _require_av()
     check_speed(speed)
     refuse_existing(video, overwrite)
     with Log(path, shows_progress=True) as log:
@@ -190,9 +185,11 @@ class _Mp4:
     """A video that is being written to the temporary file `part`. Messages name it `name`."""
 
     def __init__(self, part: Path, name: Path, width: int, height: int) -> None:
-        av = _require_av()
+        import av  # slow
+
         self._name = name
-        self._new_frame, self._error = av.VideoFrame.from_ndarray, av.FFmpegError
+        self._new_frame: Any = av.VideoFrame.from_ndarray
+        self._error: Any = av.FFmpegError
         with self._refused():
             # faststart: the index comes first, so that a browser can play before it has the whole file
             self._container = av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"})
@@ -246,11 +243,3 @@ def _video_size(width: int, height: int) -> tuple[int, int]:
     scale = float(max(1, math.ceil(_MIN_WIDTH / width)))
     scale = min(scale, _MAX_SIDE / max(width, height))
     return int(width * scale) // 2 * 2, int(height * scale) // 2 * 2
-
-
-def _require_av() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise UserError(f"a video needs PyAV: install it with `{install_line('video')}`") from None
-    return av

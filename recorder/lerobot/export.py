@@ -31,7 +31,7 @@ from recorder.lerobot.feature_statistics import (
     sampled,
 )
 from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, RowPictures, Sizes, log_episodes
-from recorder.lerobot.video_files import require_av, video_info
+from recorder.lerobot.video_files import video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log
 from recorder.log.session_car import CAR_KEY, Car, known_max_steering_deg, metadata_of, stored_car
@@ -76,8 +76,6 @@ def export_lerobot(
     Pictures are in the parquet files byte for byte or, with `is_video`, encoded anew in videos. Raises LogError if
     a log cannot be read or nothing can be used, and UserError if `folder` exists or cannot be written.
     """
-    if is_video:
-        require_av()
     with new_folder(folder) as part, _refused(folder):
         plan = plan_export(paths, chosen, cameras)
         with (

@@ -1,7 +1,4 @@
-"""Writes the video files of a dataset: `videos/KEY/chunk-000/file-000.mp4`, in H.264.
-
-PyAV is an extra: `pip install ".[video]"`.
-"""
+"""Writes the video files of a dataset: `videos/KEY/chunk-000/file-000.mp4`, in H.264."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import UserError
-from common.versions import install_line
 from recorder.lerobot.dataset_format import MEBIBYTE, VIDEO_FILE_MB, VIDEO_PATH, FileNumber
 
 if TYPE_CHECKING:
@@ -29,8 +25,10 @@ class VideoFiles:
     """Writes the pictures of one camera. An episode begins a new file if the old one has the format's size."""
 
     def __init__(self, root: Path, key: str, fps: int, size: tuple[int, int]) -> None:
-        """`size`: width and height. Raises UserError without PyAV, or for an odd size."""
-        self._av = require_av()
+        """`size`: width and height. Raises UserError for an odd size."""
+        import av  # slow
+
+        self._av = av
         if size[0] % 2 or size[1] % 2:
             raise UserError(f"--video: pictures of {size[0]} x {size[1]} pixels: H.264 needs even numbers")
         self._root, self._key, self._fps, self._size = root, key, fps, size
@@ -99,11 +97,3 @@ def video_info(fps: int, size: tuple[int, int]) -> dict[str, object]:
         "has_audio": False,
         "is_depth_map": False,
     }
-
-
-def require_av() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise UserError(f"videos need PyAV: `{install_line('video')}` brings it") from None
-    return av

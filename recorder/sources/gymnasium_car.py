@@ -1,7 +1,6 @@
 """Any Gymnasium environment as a car with one camera: its picture, its speed, and the numbers of its action.
 
-Gymnasium is an extra (`pip install ".[gym]"`), imported only here. An environment is other people's code. It runs
-because the user named it, and its output is checked.
+An environment is other people's code. It runs because the user named it, and its output is checked.
 """
 
 from __future__ import annotations
@@ -20,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.closeable import Closeable
-from common.errors import UsageError, UserError, brief, counted, printable
+from common.errors import UsageError, brief, counted, printable
 from common.named_function import in_one_line, load_function
-from common.versions import install_line
 from recorder.errors import RecordingError
 from recorder.sources.action_map import ActionMap, CarCommand
 from recorder.sources.frame_rate import MAX_HZ, MIN_HZ
@@ -211,10 +209,8 @@ class GymnasiumCar(Closeable):
 
 def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # a greeting on standard output, among results
-    try:
-        import gymnasium
-    except ImportError:
-        raise UserError(f"--gym needs Gymnasium: `{install_line('gym')}` brings it") from None
+    import gymnasium  # slow
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # about other people's code

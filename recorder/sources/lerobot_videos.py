@@ -1,7 +1,4 @@
-"""The frames of a LeRobot dataset's videos, in the order of its rows.
-
-PyAV is an extra: `pip install ".[video]"`.
-"""
+"""The frames of a LeRobot dataset's videos, in the order of its rows."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from common.closeable import Closeable
 from common.errors import printable
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import VIDEO_PATH, FileNumber
-from recorder.lerobot.video_files import require_av
 from recorder.pictures.picture_size import MAX_PIXELS
 from recorder.sources.lerobot_dataset import LeRobotFolder
 
@@ -31,8 +27,10 @@ class CameraVideos(Closeable):
     """The videos of one camera, read from the first row to the last."""
 
     def __init__(self, dataset: LeRobotFolder, key: str) -> None:
-        """Raises RecordingError if a video is missing, UserError if PyAV is."""
-        self._av = require_av()
+        """Raises RecordingError if a video is missing."""
+        import av  # slow
+
+        self._av = av
         if dataset.video_path != VIDEO_PATH:
             raise RecordingError(
                 f"{dataset.root}: videos in {printable(dataset.video_path[:100])!r}; expected {VIDEO_PATH}"

@@ -24,10 +24,10 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_pip_gets_the_versions_of_the_checkout(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(prefix)
     tested = f"-c {ROOT}/constraints.txt"
-    assert versions.install_line("web") == f"pip install {tested} -e '{ROOT}[web]'"
+    assert versions.install_line("onnx") == f"pip install {tested} -e '{ROOT}[onnx]'"
     assert versions.package_line("rerun-sdk") == f"pip install {tested} rerun-sdk"
     monkeypatch.chdir(ROOT)
-    assert versions.install_line("web") == "pip install -c constraints.txt -e '.[web]'"
+    assert versions.install_line("onnx") == "pip install -c constraints.txt -e '.[onnx]'"
 
 
 def test_uv_and_pipx_are_named_where_they_made_the_environment(
@@ -35,20 +35,20 @@ def test_uv_and_pipx_are_named_where_they_made_the_environment(
 ) -> None:
     monkeypatch.chdir(ROOT)
     (prefix / "pipx_metadata.json").write_text("{}")
-    line = "pipx runpip behavioural-cloning-toolkit install -c constraints.txt -e '.[web]'"
-    assert versions.install_line("web") == line
+    line = "pipx runpip behavioural-cloning-toolkit install -c constraints.txt -e '.[onnx]'"
+    assert versions.install_line("onnx") == line
     (prefix / "pyvenv.cfg").write_text("home = /usr/bin\nuv = 0.5.1\n")
-    assert versions.install_line("web") == f"uv pip install --python {prefix} -c constraints.txt -e '.[web]'"
+    assert versions.install_line("onnx") == f"uv pip install --python {prefix} -c constraints.txt -e '.[onnx]'"
 
 
 @pytest.mark.parametrize(
     ("noted", "expected"),
     [
-        ({"url": "file://FOLDER", "dir_info": {}}, "-c FOLDER/constraints.txt 'FOLDER[web]'"),
-        ({"url": "file:///gone", "dir_info": {}}, "'.[web]'"),
+        ({"url": "file://FOLDER", "dir_info": {}}, "-c FOLDER/constraints.txt 'FOLDER[onnx]'"),
+        ({"url": "file:///gone", "dir_info": {}}, "'.[onnx]'"),
         (
             {"url": "https://host/x.git", "vcs_info": {"vcs": "git"}},
-            "'behavioural-cloning-toolkit[web] @ git+https://host/x.git'",
+            "'behavioural-cloning-toolkit[onnx] @ git+https://host/x.git'",
         ),
     ],
 )
@@ -65,7 +65,7 @@ def test_an_installed_toolkit_knows_where_it_came_from(
     monkeypatch.chdir(prefix)
     monkeypatch.setattr(versions, "__file__", str(prefix / "site-packages" / "common" / "versions.py"))
     monkeypatch.setattr("importlib.metadata.distribution", lambda name: Installed)
-    assert versions.install_line("web") == f"pip install {expected.replace('FOLDER', str(tmp_path))}"
+    assert versions.install_line("onnx") == f"pip install {expected.replace('FOLDER', str(tmp_path))}"
 
 
 def test_a_listener_whose_module_is_missing_names_its_package(tmp_path: Path) -> None:

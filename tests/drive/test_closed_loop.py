@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
 
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
@@ -203,7 +202,7 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
         assert car_in(log.metadata, log.path) == BUILT_IN  # where its cameras stand, and how it turns
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
+@pytest.mark.needs("no_gpu")
 @pytest.mark.parametrize("main", [drive_main, eval_main])
 def test_a_gpu_that_is_not_there_is_one_line(
     pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], main: Callable[[], None]

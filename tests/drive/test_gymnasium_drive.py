@@ -108,6 +108,7 @@ def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
     assert any(command.steering != command.expert_steering for command in sent)
 
 
+@pytest.mark.needs("box2d")
 def test_a_network_drives_car_racing(capsys: pytest.CaptureFixture[str]) -> None:
     settings = Path("car.toml")
     settings.write_text(

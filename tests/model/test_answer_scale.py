@@ -99,7 +99,6 @@ def test_within_bounds_nothing_fits_better(
 def test_the_run_answers_so_whatever_asks_it(natural: Path, as_learnt: Path, index: Path, tmp_path: Path) -> None:
     """Evaluation of best and last weights, pilot and ONNX: as the same training without the scale, and then the
     scale."""
-    pytest.importorskip("onnx")
     for part in ("", "last"):
         answers = load_answer_scale(natural / part)
         assert answers != AnswerScale()

@@ -19,12 +19,12 @@ from dataset import decode
 from driving import road_jpeg, untrained_run
 from model import load_pilot
 from model.donkeycar_export import export_to_donkeycar
+from needs import DONKEYCAR_PYTHON
 from ports import free_ports
 from recorder import Log
 from recorder.sources.import_donkeycar import import_tub
 from repository import ROOT
 
-PYTHON: Final = os.environ.get("BC_DONKEYCAR_PYTHON", "")
 PROGRAM: Final = ROOT / "tests" / "helpers" / "donkeycar_program.py"
 ABOVE, LAST = "    aiLauncher = AiLaunch(", "    # run the vehicle\n"
 PROBE: Final = """
@@ -38,12 +38,12 @@ PROBE: Final = """
     V.add(Probe(), inputs=["cam/image_array", "pilot/angle", "steering", "throttle"])
 """
 
-pytestmark = pytest.mark.skipif(not PYTHON, reason="BC_DONKEYCAR_PYTHON names no Python with DonkeyCar")
+pytestmark = pytest.mark.needs("donkeycar")
 
 
 def run_donkeycar(folder: Path, *arguments: object) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    line = [PYTHON, *map(str, arguments)]
+    line = [str(DONKEYCAR_PYTHON), *map(str, arguments)]
     done = subprocess.run(line, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-4000:]
 

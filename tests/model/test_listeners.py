@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -105,7 +104,7 @@ def test_a_file_that_is_not_there_is_told_before_anything_is_trained(
     assert f"no file no.py; give its path from {Path.cwd()}" in one_line_in(capsys)
 
 
-@pytest.mark.skipif(not find_spec("mlflow"), reason="MLflow was not tried: `pip install mlflow-skinny` brings it")
+@pytest.mark.needs("mlflow")
 def test_mlflow_has_the_settings_and_every_point(
     flags: tuple[object, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

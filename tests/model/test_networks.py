@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -26,6 +25,7 @@ from model.network.choice import choose_network
 from model.network.original import SteeringNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
+from needs import require
 from toy import TINY, road
 from udacity import call
 
@@ -34,8 +34,8 @@ SIZES = {"pilotnet": None, "small": None, "resnet18": (64, 48)}
 
 
 def skip_without_torchvision(name: str) -> None:
-    if name == "resnet18" and find_spec("torchvision") is None:
-        pytest.skip("torchvision is not installed")
+    if name == "resnet18":
+        require("torchvision")
 
 
 def settings(name: str) -> TrainConfig:

@@ -106,7 +106,7 @@ def test_a_pilot_on_the_processor_records_nothing(run: Path) -> None:
     assert (pilot.device, pilot._replayed) == ("cpu", None)
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
+@pytest.mark.needs("no_gpu")
 def test_without_a_gpu_it_is_the_processor_or_an_error(run: Path) -> None:
     assert choose_device("auto") == choose_device("cpu") == CPU
     assert load_pilot(run).device == "cpu"
@@ -131,7 +131,7 @@ def test_a_network_that_does_not_work_on_the_gpu_drives_on_the_processor(
         load_pilot(run, "bfloat16", "cuda")
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU here")
+@pytest.mark.needs("gpu")
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_a_gpu_answers_nearly_as_the_processor_does(run: Path, precision: str) -> None:
     """To half a degree, and the same number every time."""

@@ -17,16 +17,16 @@ import pytest
 
 from common.car import CAMERAS
 from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
+from needs import LEROBOT_PYTHON
 from recorder import Log
 from recorder.lerobot.export import export_lerobot
 from recorder.sources.import_lerobot import import_lerobot
 from repository import ROOT
 
-PYTHON: Final = os.environ.get("BC_LEROBOT_PYTHON", "")
 PROGRAM: Final = ROOT / "tests" / "helpers" / "lerobot_program.py"
 ROWS: Final = range(len(TIMES_NS))
 
-pytestmark = pytest.mark.skipif(not PYTHON, reason="BC_LEROBOT_PYTHON names no Python with LeRobot")
+pytestmark = pytest.mark.needs("lerobot")
 
 
 def run_lerobot(tmp_path: Path, *arguments: object) -> None:
@@ -37,7 +37,7 @@ def run_python(tmp_path: Path, *arguments: object) -> None:
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "huggingface")}
     environment.pop("PYTHONPATH", None)
     done = subprocess.run(
-        [PYTHON, *map(str, arguments)],
+        [str(LEROBOT_PYTHON), *map(str, arguments)],
         cwd=tmp_path,
         env=environment,
         capture_output=True,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from collections import defaultdict
 from collections.abc import Callable, Iterable
@@ -29,23 +28,17 @@ from rerun.chunk import McapReader as RerunReader
 from common.car import CAMERAS, Camera
 from driving import road_jpeg
 from layouts import is_of_pictures, write_as_before
+from needs import FOXGLOVE
 from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.upkeep.edit import merge
-from repository import HELPERS
 from viz.viewer_process import viewer_program
 from waiting import PATIENCE_S, wait_until
 
 START_NS, STEP_NS = 1_720_880_000_000_000_000, 40_000_000
 ROWS, ROWS_A_PICTURE, ROWS_AN_EVENT = 300, 30, 20
 CHUNK_BYTES = 50_000  # what is small fills more than one chunk, and so do the pictures
-FOXGLOVE = HELPERS / "foxglove_reader"
-
-needs_foxglove = pytest.mark.skipif(
-    not shutil.which("node") or not (FOXGLOVE / "node_modules").is_dir(),
-    reason="Foxglove's reader was not tried: `make foxglove-reader` installs it (it needs node and npm)",
-)
 
 
 class Told(NamedTuple):
@@ -265,7 +258,7 @@ def in_topics(stored: list[tuple[str, int, str, str, str]]) -> dict[str, list[To
     return dict(messages)
 
 
-@needs_foxglove
+@pytest.mark.needs("foxglove")
 def test_foxgloves_readers_agree(log: Path) -> None:
     expected = ours(log)
     answer = foxglove(log)
@@ -281,7 +274,7 @@ def test_foxgloves_readers_agree(log: Path) -> None:
     assert answer["attachments"] == answer["streamed_attachments"] == attachments
 
 
-@needs_foxglove
+@pytest.mark.needs("foxglove")
 def test_foxglove_draws_a_curve_without_reading_pictures(written: dict[tuple[str, str], Path], name: str) -> None:
     path = written[LAYOUTS[0], name]
     answer = foxglove(path, "/vehicle")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +114,7 @@ def test_left_may_be_positive_and_scales_may_differ() -> None:
     assert set(other["throttle"]) == {0.5}
 
 
+@pytest.mark.needs("box2d")
 def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
     expert = ROOT / "examples" / "car_racing_expert.py"
     Path("race.toml").write_text((ROOT / "examples/car_racing.toml").read_text() + "args.max_episode_steps = 20")
@@ -188,12 +188,3 @@ def test_what_was_recorded_before_an_expert_gave_nan_is_kept(capsys: pytest.Capt
     assert call(bc_record, "bar", *bar(), "--expert", "toy_environment:nan_later") == 1
     assert "at step 7 it gave [nan, 0.0]: expected finite numbers" in one_line_in(capsys)
     assert states("bar")["steering"] == [pytest.approx(0.1)] * 7
-
-
-def test_without_gymnasium_it_is_said_what_brings_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "gymnasium", None)
-    Path("mine.py").write_text("def drive(env, observation): ...\n")
-    assert call(bc_record, "bar", "--gym", "CarRacing-v3", "--expert", "mine.py:drive") == 1
-    assert f"pip install -c {ROOT}/constraints.txt -e '{ROOT}[gym]'" in one_line_in(capsys)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -417,12 +416,4 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
             assert process.popen.poll() is None
         assert process.end() == 130
     assert process.stderr == ["bc-play: stopped"]
-    assert list(tmp_path.iterdir()) == [log]
-
-
-def test_without_pyav_the_error_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = write_log(tmp_path / "x.mcap", [grey(90)])
-    monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(UserError, match=r"`pip install .*\[video\].*`"):
-        write_video(log, tmp_path / "x.mp4")
     assert list(tmp_path.iterdir()) == [log]

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from chromium import PROGRAMS
-
 STUDIES = Path(__file__).parents[2] / "studies"
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(not any(map(shutil.which, PROGRAMS)), reason="no Chromium here"),
-]
+pytestmark = [pytest.mark.long, pytest.mark.needs("chromium")]
 
 
 def run(name: str, *words: object) -> None:

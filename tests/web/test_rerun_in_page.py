@@ -165,8 +165,9 @@ def forwarded(port: int) -> Iterator[int]:
 
 def axe_finds(frame: Frame) -> list[str]:
     """What axe-core finds serious in Rerun's own page: around its canvas, which holds no elements."""
-    axe = pytest.importorskip("axe_playwright_python.base", reason="axe-core is not installed")
-    frame.evaluate(axe.AXE_SCRIPT)
+    from axe_playwright_python.base import AXE_SCRIPT  # slow
+
+    frame.evaluate(AXE_SCRIPT)
     script = "async () => (await axe.run()).violations.map(each => `${each.impact} ${each.id}`)"
     violations: list[str] = frame.evaluate(script)
     return [violation for violation in violations if violation.startswith(("serious", "critical"))]
