@@ -22,13 +22,9 @@ ROOT: Final = Path(__file__).resolve().parent.parent
 PAGES: Final = ("README.md", "docs/commands.md", "docs/index-format.md", "docs/log-format.md")
 SHORTER: Final = {
     "--epochs 4": "--epochs 1",
-    "epochs=10": "epochs=1",
-    '"runs/first"), TrainConfig': '"runs/again"), TrainConfig',  # the loop has made runs/first
+    "epochs=4": "epochs=1",
     "--simulator lake": "--laps 0.1 --simulator lake",
 }
-FRAME: Final = (
-    'from recorder import Log; open("frame.jpg", "wb").write(Log("drives/run.mcap").picture(0, "center"))'
-)
 
 
 def main() -> None:
@@ -40,7 +36,6 @@ def main() -> None:
         if words[0] == "bc-play" and "--video" not in words:
             words += ["--save", f"{number}.rrd"]
         _run([str(Path(sys.executable).parent / words[0]), *words[1:]], folder)
-    _run([sys.executable, "-c", FRAME], folder)
     shutil.copy(folder / "drives" / "run.mcap", folder)  # the drive that the pages read
     for page in PAGES:
         for code in _blocks((ROOT / page).read_text(encoding="utf-8"), "python"):
