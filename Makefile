@@ -18,16 +18,21 @@ TORCH := $(if $(wildcard /proc/driver/nvidia/version /dev/nvidiactl /dev/dxg),cu
 TORCH_CPU_INDEX := https://download.pytorch.org/whl/cpu
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
+# $(call install-torch,PIP): the build without CUDA, before what needs PyTorch; else PyPI's build has CUDA on Linux
+ifeq ($(shell uname -s)-$(TORCH),Linux-cpu)
+define install-torch
+@echo "PyTorch without CUDA, because there is no NVIDIA driver here: 'make install TORCH=cuda' chooses otherwise."
+$(1) --retries 1 --timeout 15 install --quiet --no-deps --index-url $(TORCH_CPU_INDEX) "$$(grep '^torch==' constraints.txt)" || \
+  echo "$(TORCH_CPU_INDEX) has no build for this Python, or is out of reach: PyTorch with CUDA, 4 GB more."
+endef
+endif
+
 # for users; the targets for tests, checks and docs install more
 install: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-ifeq ($(shell uname -s)-$(TORCH),Linux-cpu)
-	@echo "PyTorch without CUDA, because there is no NVIDIA driver here: 'make install TORCH=cuda' chooses otherwise."
-	$(PIP) --retries 1 --timeout 15 install --quiet --no-deps --index-url $(TORCH_CPU_INDEX) "$$(grep '^torch==' constraints.txt)" || \
-	  echo "$(TORCH_CPU_INDEX) has no build for this Python, or is out of reach: PyTorch with CUDA, 4 GB more."
-endif
+	$(call install-torch,$(PIP))
 	@echo "Installing PyTorch, Rerun and other packages into $(VENV): a few minutes, and 2 GB of disk (with CUDA: 6 GB)."
 	$(PIP) install -c constraints.txt -e .
 	@touch $@
@@ -49,7 +54,12 @@ test: $(VENV)/installed-dev
 
 # the wheel, installed as the README says, and every command and page of it; then each extra
 test-installed: $(VENV)/installed-dev
-	$(BIN)/python -m pytest tests/installed --override-ini testpaths= -m "" -x
+	rm -rf build/installed build/lib build/bdist.*
+	$(PIP) wheel --quiet --no-deps --wheel-dir build/installed .
+	$(PYTHON) -m venv build/installed/base
+	$(call install-torch,build/installed/base/bin/python -m pip)
+	build/installed/base/bin/python -m pip install --quiet -c constraints.txt build/installed/*.whl
+	$(PYTEST) tests/installed
 
 # slow tests (each byte damaged, each moment stopped), and tests of random inputs with twenty times as many inputs
 test-long: $(VENV)/installed-dev

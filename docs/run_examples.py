@@ -38,7 +38,7 @@ def main() -> None:
         _run([str(Path(sys.executable).parent / words[0]), *words[1:]], folder)
     shutil.copy(folder / "drives" / "run.mcap", folder)  # the drive that the pages read
     for page in PAGES:
-        for code in _blocks((ROOT / page).read_text(encoding="utf-8"), "python"):
+        for code in blocks((ROOT / page).read_text(encoding="utf-8"), "python"):
             _run([sys.executable, "-I", "-c", code], folder)
     for example in sorted((ROOT / "examples").glob("log_*.py")):
         _run([sys.executable, "-I", str(example)], folder)
@@ -48,13 +48,13 @@ def _commands() -> Iterator[list[str]]:
     """The command lines of the README's section "The loop"."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     section = readme.partition("## The loop\n")[2].partition("\n## ")[0]
-    for block in _blocks(section, "sh"):
+    for block in blocks(section, "sh"):
         for line in block.splitlines():
             if words := shlex.split(line, comments=True):
                 yield words
 
 
-def _blocks(text: str, language: str) -> Iterator[str]:
+def blocks(text: str, language: str) -> Iterator[str]:
     for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL):
         for long, short in SHORTER.items():
             block = block.replace(long, short)

@@ -23,6 +23,7 @@ FOXGLOVE: Final = HELPERS / "foxglove_reader"
 AZURITE: Final = ROOT / "build/azurite/node_modules/azurite/dist/src/blob/main.js"
 LEROBOT_PYTHON: Final = ROOT / "build/lerobot/bin/python"
 DONKEYCAR_PYTHON: Final = ROOT / "build/donkeycar/bin/python"
+INSTALLED: Final = ROOT / "build/installed"
 
 
 class Need(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import struct
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +27,15 @@ class Shown:
 
 
 class WheelPage:
-    """Connected to the newest wheel of this folder, or to `wheel`."""
+    """Connected to the newest wheel of this folder, to `wheel`, or through bc-web to `address`."""
 
-    def __init__(self, wheel: OpenWheel | None = None) -> None:
-        self._wheel = wheel or open_wheels(Path.cwd())[0]
+    def __init__(
+        self, wheel: OpenWheel | None = None, address: str = "", headers: Mapping[str, str] | None = None
+    ) -> None:
+        if not address:
+            wheel = wheel or open_wheels(Path.cwd())[0]
+            address, headers = f"ws://127.0.0.1:{wheel.port}", {"Authorization": f"Bearer {wheel.token}"}
+        self._address, self._headers = address, headers
         self._number = 0
 
     def send(self, kind: str, **values: object) -> None:
@@ -63,11 +69,9 @@ class WheelPage:
                 return message
 
     def __enter__(self) -> Self:
-        headers = {"Authorization": f"Bearer {self._wheel.token}"}
-        address = f"ws://127.0.0.1:{self._wheel.port}"
         with ExitStack() as stack:
             self.socket = stack.enter_context(
-                connect(address, additional_headers=headers, compression=None, max_size=1 << 24)
+                connect(self._address, additional_headers=self._headers, compression=None, max_size=1 << 24)
             )
             self._stack = stack.pop_all()
         return self

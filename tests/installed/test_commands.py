@@ -1,0 +1,181 @@
+"""Every command, as the README's line installs it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Final
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+import run_examples
+from installed_toolkit import Toolkit, names_the_extra
+from lerobot_logs import write_drives
+from other_logs import CAMERA, WHEEL, angle, image, write_bag, write_mcap
+from repository import ROOT
+from tubs import record_2, write_tub_2
+from udacity import jpeg
+
+PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+@pytest.mark.parametrize("command", PROJECT["scripts"])
+def test_every_command_says_what_it_does(made: Toolkit, command: str) -> None:
+    assert made.do(command, "--help").startswith("usage: ")
+
+
+ROOMS: Final = ("common", "simulator", "recorder", "dataset", "model", "viz", "drive", "web")
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_public_name_is_there_without_any_extra(made: Toolkit, room: str) -> None:
+    code = f"import {room}\nfor name in dir({room}): getattr({room}, name)\n"
+    made.do("python", "-c", code)
+
+
+def test_a_run_is_evaluated_and_drives(made: Toolkit) -> None:
+    assert "degrees" in made.do("bc-eval", "first")
+    assert "lake" in made.do("bc-eval", "first", "--simulator", "lake", "--laps", 0.02, "--drives", "evaluated")
+    assert "first" in made.do("bc-runs")
+    assert "lake" in made.do("bc-log", "ls")
+    made.do("bc-train", "--resume", "first", "--epochs", 2)
+    made.do("bc-train", "--init", "first", "--name", "more", "--network", "small", "--epochs", 1)
+    assert "better" in made.do("bc-eval", "first", "more") or "no difference" in made.do(
+        "bc-eval", "first", "more"
+    )
+    assert made.run("bc-doctor").code in (0, 3)
+
+
+def test_drives_are_shown(made: Toolkit) -> None:
+    made.do("bc-play", "drives/run.mcap", "--save", "run.rrd")
+    made.do("bc-play", "drives/run.mcap", "--run", "first", "--save", "with_first.rrd")
+    made.do("bc-play", "drives/run.mcap", "--video", "run.mp4", "--overlay")
+    assert (made.folder / "run.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_logs_are_cleaned(made: Toolkit) -> None:
+    log = "sessions/lake.mcap"
+    for words in (("info",), ("check",), ("tag",)):
+        made.run("bc-log", *words, log)
+    made.do("bc-log", "tag", log, "slow", "--where", "speed_mph < 2 and throttle > 0", "--yes")
+    made.do("bc-log", "tag", log, "fine", "--rows", 3, 9)
+    made.do("bc-log", "trim", log, "--to", "cut/start.mcap", "--rows", 0, 20)
+    made.do("bc-log", "trim", log, "--to", "cut/end.mcap", "--rows", 21, 40)
+    made.do("bc-log", "merge", "cut/start.mcap", "cut/end.mcap", "--to", "cut/both.mcap")
+    made.do("bc-log", "split", "cut/both.mcap", "--to", "cut/drives")
+    made.do("bc-log", "rewrite", log, "--to", "cut/new.mcap")
+    made.do("bc-log", "copy", log, "copies/lake.mcap")
+    whole = (made.folder / log).read_bytes()
+    (made.folder / "cut" / "killed.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    assert made.run("bc-log", "recover", "cut/killed.mcap").code in (0, 3)
+
+
+def test_an_index_is_chosen_checked_and_exported(made: Toolkit) -> None:
+    where = "speed_mph > 5 and abs(steering) < 0.9"
+    made.do("bc-index", "--index", "index-fast", "--where", where, "--block-s", 2, "--gap-s", 0, "--check")
+    made.do("bc-index", "export", "--lerobot", "datasets/index", "--where", "abs(steering) < 0.5")
+
+
+def test_every_kind_of_recording_is_imported(made: Toolkit) -> None:
+    """Udacity's, a csv, a tub, another program's log, and LeRobot's with pictures and with videos."""
+    assert made.run("bc-record", "udacity", "--from", "recording").code == 0
+    folder = made.folder
+    rows = (folder / "recording" / "driving_log.csv").read_text().splitlines()
+    (folder / "csv").mkdir()
+    lines = ["image,angle"]
+    for number, row in enumerate(rows[:20]):
+        center, *_ = row.split(",")
+        name = re.split(r"[\\/]", center)[-1]
+        (folder / "csv" / name).write_bytes((folder / "recording" / "IMG" / name).read_bytes())
+        lines.append(f"{name},{number / 100}")
+    (folder / "csv" / "data.csv").write_text("\n".join(lines))
+    made.do("bc-record", "csv", "--from", "csv", "--columns", "image=image", "steering=angle", "--rate", 10)
+    made.do("bc-record", "tub", "--from", write_tub_2(folder / "tub", [record_2(n) for n in range(8)]))
+    pairs = [((WHEEL, n / 10, angle(n / 50)), (CAMERA, n / 10, image(jpeg(90, n)))) for n in range(9)]
+    write_mcap(folder / "other.mcap", (message for pair in pairs for message in pair))
+    topics = ("--image", CAMERA, "--steering", f"{WHEEL}.steering.angle")
+    made.do("bc-record", "other", "--from", "other.mcap", *topics)
+    log = write_drives(folder / "lerobot.mcap")
+    for kind in ((), ("--video",)):
+        name = f"lerobot{len(kind)}"
+        made.do("bc-log", "export", log, "--lerobot", f"datasets/{name}", *kind)
+        made.do("bc-record", name, "--from", f"datasets/{name}")
+
+
+def test_gymnasium_is_there(made: Toolkit) -> None:
+    code = "import gymnasium; gymnasium.make('simulator:bc/Lake-v0').reset(seed=1)"
+    made.do("python", "-W", "error", "-c", code)
+    (made.folder / "hold.py").write_text("def drive(environment, observation):\n    return [0.0, 0.5]\n")
+    settings = 'id = "simulator:bc/Lake-v0"\naction = "steering,throttle"\nargs = {max_episode_steps = 20}\n'
+    (made.folder / "lake.toml").write_text(settings)
+    done = made.run("bc-record", "gym", "--gym", "lake.toml", "--expert", "hold.py:drive")
+    assert done.code == 0, done
+
+
+def test_a_simulator_connects_from_another_process(made: Toolkit) -> None:
+    with made.start("bc-record", "heard", "--listen", "--port", 0, "--idle", 1) as recorder:
+        assert recorder.stderr is not None
+        port = next(found[1] for line in recorder.stderr if (found := re.search(r"127\.0\.0\.1:(\d+)", line)))
+        made.do("bc-sim", "--port", port, "--laps", 0.02)
+        recorder.communicate()
+    assert recorder.returncode == 0
+
+
+def test_the_readmes_python_runs_as_it_stands(made: Toolkit) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (code,) = run_examples.blocks(readme, "python")
+    made.do("python", "-I", "-c", code.replace("epochs=4", 'epochs=1, network="small"'))
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        ("onnx", ("bc-train", "export", "first", "--onnx", "first.onnx")),
+        ("onnx", ("bc-train", "export", "first", "--hub", "hub")),
+        ("onnx", ("bc-train", "export", "first", "--donkeycar", "car")),
+        ("tensorboard", ("bc-train", "--name", "second", "--tensorboard")),
+        ("torchvision", ("bc-train", "--name", "second", "--network", "resnet18")),
+        ("scale", ("bc-index", "--ray")),
+        ("scale", ("bc-log", "ls", "s3://bucket/sessions")),
+        ("scale", ("bc-index", "--sessions", "s3://bucket/sessions")),
+        ("ros", ("bc-record", "ros", "--from", "BAG", "--image", CAMERA, "--steering", "/cmd_vel.angular.z")),
+    ],
+)
+def test_a_missing_extra_is_named_before_any_work(
+    made: Toolkit, tmp_path: Path, extra: str, words: tuple[str, ...]
+) -> None:
+    if "BAG" in words:
+        bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
+        words = tuple(str(bag) if word == "BAG" else word for word in words)
+    assert names_the_extra(made.refused(*words), extra)
+
+
+def test_an_extra_makes_its_commands_work(extra: tuple[str, Toolkit], tmp_path: Path) -> None:
+    name, toolkit = extra
+    if name == "onnx":
+        toolkit.do("bc-train", "export", "first", "--onnx", tmp_path / "first.onnx")
+        toolkit.do("bc-train", "export", "first", "--hub", tmp_path / "hub", "--license", "mit")
+        assert (tmp_path / "first.onnx").stat().st_size > 100_000
+    elif name == "ros":
+        bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
+        flags = ("--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1)
+        toolkit.do("bc-record", "bag", "--from", bag, *flags)
+    elif name == "scale":
+        toolkit.do("bc-index", "--index", tmp_path / "index", "--block-s", 2, "--gap-s", 0, "--ray")
+    elif name == "tensorboard":
+        toolkit.do("bc-train", "--name", "curves", "--network", "small", "--epochs", 1, "--tensorboard")
+        assert list((toolkit.folder / "runs/curves/tensorboard").iterdir())
+    else:
+        fits = toolkit.run("python", "-c", "import torchvision.models").code == 0
+        if not fits:
+            pytest.skip("a torchvision that fits this PyTorch is missing: install both from one index")
+        small = ("--picture-px", 64, 48, "--epochs", 1)
+        toolkit.do("bc-train", "--name", "residual", "--network", "resnet18", *small)
+
+
+def test_nothing_else_is_an_extra() -> None:
+    assert set(PROJECT["optional-dependencies"]) - {"dev", "docs"} == {
+        "onnx", "ros", "scale", "tensorboard", "torchvision",
+    }  # fmt: skip
