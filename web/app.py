@@ -40,9 +40,11 @@ _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
 
 
 @contextlib.contextmanager
-def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -> Iterator[ASGIApp]:
-    """The app, until the context is left. Raises UserError if a folder is in a store and the package that reads
-    stores is not installed."""
+def workbench_app(
+    folders: ProjectFolders, host: str, token: str, cache: Path, *, once: str = ""
+) -> Iterator[ASGIApp]:
+    """The app, until the context is left; `token` and `once` as in `RequestGuard`. Raises UserError if a folder is
+    in a store and the package that reads stores is not installed."""
     with contextlib.ExitStack() as stack:
         if folders.are_in_stores:
             from common.store_connection import hurried  # an extra
@@ -52,7 +54,7 @@ def workbench_app(folders: ProjectFolders, host: str, token: str, cache: Path) -
         stack.callback(bench.close)
         app = Starlette(routes=_routes(bench), exception_handlers=HANDLERS)
         compressed = GZipMiddleware(app, compresslevel=5, exclude_content_types=_NOT_COMPRESSED)
-        yield TrimmedApp(RequestGuard(compressed, host, token))
+        yield TrimmedApp(RequestGuard(compressed, host, token, once))
 
 
 def _routes(bench: Workbench) -> list[BaseRoute]:

@@ -9,12 +9,13 @@ from pathlib import Path
 from common import UserError
 from common.allowed_places import allow_places
 from common.command import DONE, check_port, run_command
-from common.errors import counted, printable
+from common.errors import UsageError, counted, printable
 from common.interrupts import stop_signals
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from common.versions import install_line
+from recorder.server.allowed_hosts import is_loopback
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,11 @@ class Web:
     port: int = 8080
     """Port of the workbench."""
     host: str = "127.0.0.1"
-    """Address to listen on; other machines need a token; nothing is encrypted."""
+    """Address to listen on, also for other machines; nothing is encrypted."""
     open: bool = False
     """Open the browser."""
+    token: bool = True
+    """Let every user of this machine open it."""
     sessions: LocationFlag = Path("sessions")
     """The sessions."""
     index: LocationFlag = Path("index")
@@ -43,12 +46,14 @@ class Web:
 def serve(config: Web, page: str = "") -> int:
     """Serve until a signal. Print the address of `page`, and open it if `config.open`."""
     check_port("--port", config.port)
+    if not config.token and not is_loopback(config.host):
+        raise UsageError(f"--no-token lets everybody in who reaches --host {config.host}: leave out one of them")
     _check_folders(config)
     allow_places(config.sessions, config.drives)
     try:
         from web.app import workbench_app
         from web.server.memory import give_memory_back
-        from web.server.request_guard import TOKEN, token_for
+        from web.server.request_guard import TOKEN, new_token
         from web.server.workbench_server import WorkbenchServer
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "jinja2"):
@@ -60,17 +65,19 @@ def serve(config: Web, page: str = "") -> int:
 
     give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
-    token = token_for(config.host)
-    with stop_signals() as stopped, workbench_app(folders, config.host, token, default_cache_folder()) as app:
+    token = new_token() if config.token else ""
+    once = new_token() if token and config.open else ""
+    cache = default_cache_folder()
+    with stop_signals() as stopped, workbench_app(folders, config.host, token, cache, once=once) as app:
         server = WorkbenchServer(app, config.host, config.port)
         server.start()
         name = f"[{config.host}]" if ":" in config.host else config.host
-        address = f"http://{name}:{server.port}/{page}" + (f"?{TOKEN}={token}" if token else "")
+        address = f"http://{name}:{server.port}/{page}"
         try:
-            print_result(address)
+            print_result(f"{address}?{TOKEN}={token}" if token else address)
             print_message("open this address in a browser; Ctrl-C ends it")
             if config.open:
-                webbrowser.open(address)
+                webbrowser.open(f"{address}?{TOKEN}={once}" if once else address)
             server.serve_until(stopped.wait)
         finally:
             server.stop()

@@ -251,7 +251,8 @@ class Process:
 
     def _read_stdout(self) -> None:
         assert self.popen.stdout is not None
-        self.stdout = self.popen.stdout.read()
+        for line in self.popen.stdout:
+            self.stdout += line
 
 
 class DriveProcess(Process):

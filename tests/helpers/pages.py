@@ -5,12 +5,23 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
+from urllib.parse import urlsplit
 
 from waiting import PATIENCE_S, wait_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page
+
+
+TOKEN: Final = "the-token-of-the-tests"
+
+
+def with_token(address: str) -> str:
+    """The address with the token, as bc-web prints it."""
+    parts = urlsplit(address)
+    query = f"{parts.query}&token={TOKEN}" if parts.query else f"token={TOKEN}"
+    return parts._replace(query=query).geturl()
 
 
 @contextlib.contextmanager
@@ -56,7 +67,7 @@ def heard(
 
 @contextlib.contextmanager
 def opened_page(browser: Browser, address: str, *, width: int = 1280) -> Iterator[Page]:
-    """A page, 1280x800 or as much larger as it is wider; nothing may go wrong in it."""
+    """A page, opened with the token, 1280x800 or as much larger as it is wider; nothing may go wrong in it."""
     errors: list[str] = []
 
     def said(message: ConsoleMessage) -> None:
@@ -70,7 +81,7 @@ def opened_page(browser: Browser, address: str, *, width: int = 1280) -> Iterato
         heard(page, "pageerror", lambda error: errors.append(str(error))),
         heard(page, "console", said),
     ):
-        page.goto(address)
+        page.goto(with_token(address))
         yield page
         assert not errors, errors
 

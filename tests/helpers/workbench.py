@@ -11,10 +11,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 from common.location import Location
-from driving import PATIENCE_S
+from driving import PATIENCE_S, Process
+from pages import TOKEN
+from waiting import wait_until
 from web.app import workbench_app
 from web.folders.project_folders import ProjectFolders
 from web.server.workbench_server import WorkbenchServer
@@ -46,6 +48,7 @@ class Served:
 
     folder: Path
     port: int
+    token: str = TOKEN
 
     @property
     def address(self) -> str:
@@ -60,20 +63,38 @@ class Served:
         return self.ask("POST", path, urlencode(values).encode(), **form)
 
     def ask(self, method: str, path: str, body: bytes | None = None, /, **headers: str) -> Answer:
-        """As a program asks that is no browser; `headers` are said as they are, `Sec_Fetch_Site` with dashes."""
+        """As a program asks that is no browser, which has the token; `headers` are said as they are,
+        `Sec_Fetch_Site` with dashes."""
+        with self.asked(method, path, body, **headers) as answer:
+            return Answer(answer.status, dict(answer.getheaders()), answer.read())
+
+    @contextlib.contextmanager
+    def asked(
+        self, method: str, path: str, body: bytes | None = None, /, **headers: str
+    ) -> Iterator[http.client.HTTPResponse]:
+        """`ask`, of which nothing is read yet; it is broken off when the context is left."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         with contextlib.closing(connection):
             said = {name.replace("_", "-"): value for name, value in headers.items()}
-            connection.request(method, path, body, said)
-            answer = connection.getresponse()
-            return Answer(answer.status, dict(answer.getheaders()), answer.read())
+            own = {"Authorization": f"Bearer {self.token}"} if self.token else {}
+            connection.request(method, path, body, {**own, **said})
+            with contextlib.closing(connection.getresponse()) as answer:
+                yield answer
+
+
+def served_by(process: Process, folder: Path) -> Served:
+    """The workbench of a `bc-web` that has printed its address, opened by it."""
+    process.wait_for("Ctrl-C ends it")
+    address = urlsplit(wait_until(lambda: process.stdout).strip())
+    (token,) = parse_qs(address.query)["token"]
+    return Served(folder, address.port or 0, token)
 
 
 @contextlib.contextmanager
 def served(
     folder: Path,
     host: str = "127.0.0.1",
-    token: str = "",
+    token: str = TOKEN,
     at: Location | None = None,
     drives: Location | None = None,
     port: int = 0,
@@ -87,6 +108,6 @@ def served(
         server = WorkbenchServer(app, "127.0.0.1", port)
         server.start()
         try:
-            yield Served(folder, server.port)
+            yield Served(folder, server.port, token)
         finally:
             server.stop()

@@ -18,7 +18,7 @@ from drives import a_drive
 from driving import road_jpeg, untrained_run
 from histories import epoch_line, step_lines, write_lines
 from logs import write_log
-from pages import window_of
+from pages import window_of, with_token
 from udacity import call, make_recording, paths
 from waiting import wait_until
 from wheel_host import driving_host
@@ -106,7 +106,8 @@ def test_every_page_is_for_everybody(browser: Browser, bench: Served, monkeypatc
             if not path:  # the page at the wheel, last: a drive takes a processor as long as it lasts
                 new = bench.folder / "sessions" / "new.mcap"
                 path = drive.enter_context(driving_host(new, with_network=True)).address
-            page.goto(f"{bench.address}{path}", wait_until="networkidle")  # axe fails in a list that changes
+            address = with_token(f"{bench.address}{path}")
+            page.goto(address, wait_until="networkidle")  # axe fails in a list that changes
             page.wait_for_selector(last)
             page.evaluate(NOTE_WHAT_IS_REACHED)
             for _ in range(15):

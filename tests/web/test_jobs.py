@@ -22,7 +22,7 @@ from ports import free_ports
 from recorder import Log
 from waiting import wait_until
 from web.jobs.jobs import Jobs
-from workbench import Served, served
+from workbench import Served, served, served_by
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 
@@ -184,10 +184,8 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
 def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
-    (port,) = free_ports(1)
-    with Process(command("bc-web", "--port", port), cwd=tmp_path) as process:
-        process.wait_for("Ctrl-C ends it")
-        bench = Served(tmp_path, port)
+    with Process(command("bc-web", "--port", *free_ports(1)), cwd=tmp_path) as process:
+        bench = served_by(process, tmp_path)
         job = start(bench, form="record", name="long", laps="200").rpartition("/")[2]
         assert process.end() == 0
         said = "\n".join(process.stderr)

@@ -5,20 +5,19 @@ from __future__ import annotations
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from http.client import HTTPConnection
 from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
 import web.logs.open_logs
-from driving import command as command_line
-from driving import environment, road_jpeg
+from driving import Process, command, environment, road_jpeg
 from logs import write_log
 from ports import free_ports
 from web.folders.project_folders import ProjectFolders
 from web.logs.open_logs import OpenLogs
 from web.server.memory import EVERY
+from workbench import Served, served_by
 
 ROWS = 3000
 THREADS = """
@@ -73,22 +72,16 @@ def test_few_large_logs_are_kept_open(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.long
-def test_memory_does_not_grow_with_use(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in "abcdef":
         write_log(tmp_path / "sessions" / f"{name}.mcap", [0.01 * (row % 90) for row in range(ROWS)], road)
-    (port,) = free_ports(1)
-    line = command_line("bc-web", "--port", port)
-    given = environment() | {"BC_CACHE": str(tmp_path / "cache")}
-    with subprocess.Popen(line, cwd=tmp_path, env=given, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            server.stdout.readline()  # its address
-            own_mb = []
-            for _ in range(4):
-                use(port)
-                own_mb.append(psutil.Process(server.pid).memory_full_info().uss / 1e6)
-        finally:
-            server.terminate()
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    with Process(command("bc-web", "--port", *free_ports(1)), cwd=tmp_path) as process:
+        bench = served_by(process, tmp_path)
+        own_mb = []
+        for _ in range(4):
+            use(bench)
+            own_mb.append(psutil.Process(process.popen.pid).memory_full_info().uss / 1e6)
     assert own_mb[-1] < own_mb[0] + 15, own_mb
 
 
@@ -96,17 +89,8 @@ def road(camera: str, row: int) -> bytes:
     return road_jpeg(row % 50)
 
 
-def use(port: int) -> None:
+def use(bench: Served) -> None:
     paths = [f"/sessions/{name}{part}" for name in "abcdef" for part in ("", "/state", "/rows", "/strip.jpg") * 5]
     paths += [f"/sessions/{'abcdef'[at % 6]}/pictures/center/{at * 97 % ROWS}" for at in range(4 * EVERY)]
-
-    def ask(path: str) -> int:
-        connection = HTTPConnection("127.0.0.1", port, timeout=60)
-        connection.request("GET", path)
-        answer = connection.getresponse()
-        answer.read()
-        connection.close()
-        return answer.status
-
     with ThreadPoolExecutor(12) as pool:
-        assert set(pool.map(ask, paths)) == {200}
+        assert {answer.status for answer in pool.map(bench.get, paths)} == {200}

@@ -1,22 +1,27 @@
-"""Who may ask the workbench: no page of another site, nobody without the token where others can reach it."""
+"""Who may ask the workbench: nobody without the token, and no page of another site."""
 
 from __future__ import annotations
 
 import gzip
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 
 from driving import Process, command
 from logs import write_log
+from pages import TOKEN
 from ports import free_ports
+from waiting import wait_until
 from web.server.static_files import STATIC
-from workbench import Served, served
+from workbench import Served, plain, served, served_by
 
 FROM_OUR_PAGE = {"Sec_Fetch_Site": "same-origin", "Sec_Fetch_Mode": "cors", "Sec_Fetch_Dest": "empty"}
 FROM_ANOTHER = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors", "Sec_Fetch_Dest": "image"}
+TYPED = {"Sec_Fetch_Site": "none", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "document"}
 A_LINK = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "document"}
 A_FRAME = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "iframe"}
 
@@ -67,8 +72,8 @@ def test_a_page_from_elsewhere_cannot_ask(bench: Served, origin: str, method: st
 
 def test_what_browsers_tell_without_an_origin_is_heard_too(bench: Served) -> None:
     """A picture or a frame in another site's page has no Origin."""
-    said = [FROM_OUR_PAGE, A_LINK, FROM_ANOTHER, A_FRAME, {**FROM_ANOTHER, "Sec_Fetch_Site": "same-site"}]
-    assert [bench.get("/sessions", **headers).status for headers in said] == [200, 200, 403, 403, 403]
+    said = [FROM_OUR_PAGE, TYPED, A_LINK, FROM_ANOTHER, A_FRAME, {**A_LINK, "Sec_Fetch_Site": "same-site"}]
+    assert [bench.get("/sessions", **headers).status for headers in said] == [200, 200, 403, 403, 403, 403]
     own = bench.address
     for scheme in ("http", "https"):  # as it is opened through a proxy that encrypts
         origin = own.replace("http", scheme)
@@ -122,36 +127,85 @@ def test_a_large_body_or_one_of_unknown_length_is_refused(bench: Served) -> None
     assert bench.ask("POST", "/sessions", chunk, Content_Length="2", Transfer_Encoding="chunked").status == 411
 
 
-def test_where_others_can_reach_it_everything_needs_the_token(tmp_path: Path) -> None:
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_everything_needs_the_token(tmp_path: Path, host: str) -> None:
+    """Also on loopback, which every user of this machine reaches. The files of the pages are the toolkit's own."""
     write_log(tmp_path / "sessions" / "a.mcap", [0.1])
-    with served(tmp_path, "0.0.0.0", "the-token") as bench:
-        for path in ("/", "/sessions", "/changes", f"{STATIC}/js/live.js", "/sessions/a/strip.jpg", "/nothing"):
-            assert bench.get(path).status == 401
-            assert bench.get(path, Cookie="bc-web-token=the-toke").status == 401
-            assert bench.get(f"{path}?token=the-tokeN").status == 401
-        assert bench.get("/sessions", Authorization="Bearer the-token").status == 200
-        answer = bench.get("/sessions?token=the-token&sort=name")
-        assert (answer.status, answer.headers["location"]) == (303, "/sessions?sort=name")
-        cookie = answer.headers["set-cookie"]
-        assert "HttpOnly" in cookie
-        assert "samesite=lax" in cookie.lower()
-        own = cookie.partition(";")[0]
-        for others in ("", 'of-another-port={"a": 1}; ', "a b=1; ", "=x; "):  # browsers send all cookies of a host
-            assert bench.get("/sessions", Cookie=f"{others}{own}").status == 200
-        assert bench.get("//evil.example/?token=the-token").headers["location"].startswith("/evil.example")
+    with served(tmp_path, host) as bench:
+        nobody = Served(tmp_path, bench.port, token="")
+        own = f"bc-web-{bench.port}"
+        for path in ("/", "/sessions", "/changes", "/sessions/a/strip.jpg", "/nothing"):
+            assert nobody.get(path).status == 401
+            for cookie in (f"{own}={bench.token[:-1]}", f"{own}=", f"bc-web-1={bench.token}"):
+                assert nobody.get(path, Cookie=cookie).status == 401
+            assert nobody.get(f"{path}?token=the-tokeN").status == 401
+            assert nobody.post(path).status == 401
+        assert "open the address that bc-web printed" in plain(nobody.get("/", Accept="text/html").text)
+        assert nobody.get(f"{STATIC}/css/workbench.css").status == 200
+        assert bench.get("/sessions").status == 200
+
+
+def test_the_printed_address_is_exchanged_for_a_cookie(bench: Served) -> None:
+    nobody = Served(bench.folder, bench.port, token="")
+    answer = nobody.get(f"/sessions?token={TOKEN}&sort=name")
+    assert (answer.status, answer.headers["location"]) == (303, "/sessions?sort=name")
+    own, *attributes = answer.headers["set-cookie"].lower().split("; ")
+    assert {"httponly", "samesite=strict"} <= set(attributes)
+    assert own == f"bc-web-{bench.port}={TOKEN}"  # browsers send the cookies of all ports of a host
+    for others in ("", 'of-another-port={"a": 1}; ', "a b=1; ", "=x; ", "bc-web-1=other; "):
+        assert nobody.get("/sessions", Cookie=f"{others}{own}").status == 200
+    assert nobody.get(f"//evil.example/?token={TOKEN}").headers["location"].startswith("/evil.example")
 
 
 def test_the_command_says_where_it_listens_and_ends_with_ctrl_c(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     with Process(command("bc-web", "--port", port, "--host", "127.0.0.1"), cwd=tmp_path) as process:
-        process.wait_for("Ctrl-C ends it")
-        assert Served(tmp_path, port).get("/sessions").status == 200
+        assert served_by(process, tmp_path).get("/sessions").status == 200
+        assert Served(tmp_path, port, token="").get("/sessions").status == 401
         with Process(command("bc-web", "--port", port), cwd=tmp_path) as second:
             assert second.join() == 1
         assert [line for line in second.stderr if "give another --port" in line]
         assert process.end() == 0
-    assert process.stdout == f"http://127.0.0.1:{port}/\n"
+    assert re.fullmatch(rf"http://127\.0\.0\.1:{port}/\?token=[\w-]{{32}}\n", process.stdout)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the browser is a shell script")
+def test_the_address_in_the_command_line_of_the_browser_opens_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other users see command lines."""
+    browser, opened = tmp_path / "browser", tmp_path / "opened"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {opened}.part && mv {opened}.part {opened}\n')
+    browser.chmod(0o700)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with Process(command("bc-web", "--port", *free_ports(1), "--open"), cwd=tmp_path) as process:
+        bench = served_by(process, tmp_path)
+        address = wait_until(lambda: opened.exists() and opened.read_text().strip())
+        assert address.startswith(f"{bench.address}/?token=")
+        assert bench.token not in address
+        nobody = Served(tmp_path, bench.port, token="")
+        path = address.removeprefix(bench.address)
+        answer = nobody.get(path)
+        assert answer.status == 303
+        assert nobody.get("/sessions", Cookie=answer.headers["set-cookie"].partition(";")[0]).status == 200
+        assert nobody.get(path).status == 401
+
+
+def test_without_the_token_every_user_of_this_machine_is_let_in_but_no_other_site(tmp_path: Path) -> None:
+    with Process(command("bc-web", "--no-token", "--host", "0.0.0.0"), cwd=tmp_path) as refused:
+        assert refused.join() == 2
+    assert ["--no-token" in line for line in refused.stderr] == [True]
+    with Process(command("bc-web", "--port", *free_ports(1), "--no-token"), cwd=tmp_path) as process:
+        process.wait_for("Ctrl-C ends it")
+        address = urlsplit(wait_until(lambda: process.stdout).strip())
+        bench = Served(tmp_path, address.port or 0, token="")
+        assert address.geturl() == f"{bench.address}/"
+        assert bench.get("/sessions").status == 200
+        for path in ("/", "/sessions?where=speed_mph>5"):
+            answer = bench.get(path, Accept="text/html", **A_LINK)
+            assert answer.status == 403
+            assert 'href="/sessions"' in answer.text
 
 
 def test_files_of_the_pages_are_kept_by_browsers_and_sent_small(bench: Served) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import itertools
 import json
 import socket
@@ -19,9 +18,8 @@ import numpy as np
 import pytest
 
 from common.car import Camera
-from driving import PATIENCE_S
 from logs import START_NS, STEP_NS, write_log
-from pages import heard, window_of
+from pages import heard, window_of, with_token
 from recorder import LogWriter
 from rrd import contents
 from waiting import wait_until
@@ -48,13 +46,9 @@ def write_colored(path: Path) -> Path:
 @contextlib.contextmanager
 def opened(bench: Served, name: str) -> Iterator[Iterator[dict[str, Any]]]:
     """The lines that the server says of a log while it is open in Rerun: until nobody reads them."""
-    connection = http.client.HTTPConnection("127.0.0.1", bench.port, timeout=PATIENCE_S)
-    with contextlib.closing(connection):
-        connection.request("POST", f"/sessions/{name}/rerun")
-        answer = connection.getresponse()
+    with bench.asked("POST", f"/sessions/{name}/rerun") as answer:
         assert answer.status == 200, answer.read()
-        with contextlib.closing(answer):
-            yield (json.loads(line) for line in answer)
+        yield (json.loads(line) for line in answer)
 
 
 def kept() -> int:
@@ -117,10 +111,7 @@ def test_a_log_that_is_being_recorded_is_given_out_while_it_grows(tmp_path: Path
         with opened(bench, name.removesuffix(".mcap.part")) as lines:
             said = next(lines)
             assert said["is_growing"]
-            connection = http.client.HTTPConnection("127.0.0.1", bench.port, timeout=PATIENCE_S)
-            with contextlib.closing(connection):
-                connection.request("GET", f"{said['frame']}/log.rrd")
-                answer = connection.getresponse()
+            with bench.asked("GET", f"{said['frame']}/log.rrd") as answer:
                 data = answer.read(4 << 17)
                 write_rows()
                 log.close()
@@ -176,19 +167,17 @@ def axe_finds(frame: Frame) -> list[str]:
 def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, tmp_path: Path) -> None:
     """From a machine that reaches one port only, and with the token."""
     write_colored(tmp_path / "sessions" / "colored.mcap")
-    host, token = "0.0.0.0", "the-token"
     asked: set[str] = set()
     wrong: list[str] = []
     with (
-        served(tmp_path, host, token) as bench,
+        served(tmp_path, "0.0.0.0") as bench,
         forwarded(bench.port) as port,
         window_of(browser, 480, 700) as page,  # small: it draws in software
         heard(page, "request", lambda request: asked.add(urlsplit(request.url).netloc)),
         heard(page, "pageerror", lambda error: wrong.append(str(error))),
         heard(page, "console", lambda said: wrong.append(said.text) if said.type == "error" else None),
     ):
-        page.goto(f"http://127.0.0.1:{port}/sessions/colored?token=the-token")
-        page.goto(f"http://127.0.0.1:{port}/sessions/colored#row=30")
+        page.goto(with_token(f"http://127.0.0.1:{port}/sessions/colored#row=30"))
         page.wait_for_selector("#session[data-ready]")
         page.keyboard.press("o")
         frame = page.locator("#rerun iframe")

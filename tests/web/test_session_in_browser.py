@@ -16,7 +16,7 @@ from driving import road_jpeg
 from faulty_session import CRASH, ROWS, STUCK, write_faulty
 from logs import START_NS, write_log
 from mcap_patch import without_lag
-from pages import drag, open_session, opened_page, press, window_of
+from pages import drag, open_session, opened_page, press, window_of, with_token
 from panorama import pressed, views, write_drive
 from ports import free_ports
 from recorder import Log, LogWriter
@@ -267,7 +267,7 @@ def test_what_was_wrong_meanwhile_is_no_longer_said(browser: Browser, tmp_path: 
     (port,) = free_ports(1)
     with window_of(browser, 1280, 800) as page:
         with served(tmp_path, port=port) as bench:
-            page.goto(f"{bench.address}/sessions/a")
+            page.goto(with_token(f"{bench.address}/sessions/a"))
             open_session(page)
             log.rename(tmp_path / "a.mcap")
             page.wait_for_selector("#problem:text('deleted')")

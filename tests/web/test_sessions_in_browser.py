@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import recorder.log_cli
 from driving import road_jpeg
 from logs import write_log
-from pages import open_session, opened_page, window_of
+from pages import open_session, opened_page, window_of, with_token
 from ports import free_ports
 from udacity import call
 from waiting import wait_until
@@ -46,7 +46,7 @@ def test_a_search_typed_during_a_restart_is_answered(browser: Browser, tmp_path:
     (port,) = free_ports(1)
     with window_of(browser, 1280, 800) as page:
         with served(tmp_path, port=port) as bench:
-            page.goto(f"{bench.address}/sessions")
+            page.goto(with_token(f"{bench.address}/sessions"))
             page.wait_for_selector("#s-mountain")
         page.wait_for_selector("#status:text('bc-web does not answer')")
         with page.expect_event("requestfailed", lambda request: "/sessions?" in request.url):

@@ -130,6 +130,7 @@ def test_a_broken_off_upload_leaves_nothing(bench: Served, tmp_path: Path) -> No
     body, manifest = upload_body(lake(tmp_path / "mine"))
     with socket.create_connection(("127.0.0.1", bench.port)) as connection:
         head = f"POST /import.upload?manifest={manifest} HTTP/1.1\r\nHost: 127.0.0.1:{bench.port}\r\n"
+        head += f"Authorization: Bearer {bench.token}\r\n"
         connection.sendall(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body[: len(body) // 2])
         wait_until(lambda: left_by(bench))
         assert "recording." not in bench.get("/import").text  # no link to what is not whole
@@ -141,6 +142,7 @@ def test_the_server_ends_while_something_is_sent(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         connection = socket.create_connection(("127.0.0.1", bench.port))
         head = f"POST /import.upload?manifest={manifest} HTTP/1.1\r\nHost: 127.0.0.1:{bench.port}\r\n"
+        head += f"Authorization: Bearer {bench.token}\r\n"
         connection.sendall(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body[:50_000])
         wait_until(lambda: left_by(bench))
     connection.close()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import http.client
 import os
 import signal
 from pathlib import Path
@@ -17,8 +15,9 @@ from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
 from waiting import wait_until
 from wheel_page import WheelPage
+from workbench import Served
 
-ADDRESS = r"http://127\.0\.0\.1:(\d+)(/wheel/\S+)"
+ADDRESS = r"http://127\.0\.0\.1:(\d+)(/wheel/\S+)\?token=(\S+)"
 
 
 @pytest.fixture(autouse=True)
@@ -34,10 +33,8 @@ def recording() -> Process:
 def get(process: Process, address: str = "") -> str:
     """The page whose address the command has printed, or another one there; "" if there is none."""
     printed = process.wait_for(ADDRESS)
-    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", int(printed[1]))) as connection:
-        connection.request("GET", address or printed[2])
-        answer = connection.getresponse()
-        return answer.read().decode() if answer.status == 200 else ""
+    answer = Served(Path(), int(printed[1]), printed[3]).get(address or printed[2])
+    return answer.text if answer.status == 200 else ""
 
 
 def is_served(process: Process) -> bool:

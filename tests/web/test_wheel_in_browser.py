@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from driving import command, environment
-from pages import opened_page, window_of
+from pages import opened_page, window_of, with_token
 from ports import free_ports
 from recorder import Log
 from waiting import wait_until
@@ -58,7 +58,7 @@ def steered(host: Host, steering: float, device: str) -> None:
 def test_keys_steer_by_unitys_rule(browser: Browser, bench: Served) -> None:
     """3 of full lock a second, there and back; an opposite key jumps to 0 first; both at once are none."""
     with window_of(browser, 1280, 800) as page:
-        page.goto(f"{bench.address}/wheel")
+        page.goto(with_token(f"{bench.address}/wheel"))
         steering = page.evaluate(
             """async () => {
               const { Keys } = await import('STATIC/js/wheel/keys.js');
@@ -168,7 +168,7 @@ def test_the_gamepad_that_moved_last_steers_and_is_let_go_when_unplugged(
 
 def test_a_gamepad_that_hangs_aside_or_sends_noise_does_not_steer(browser: Browser, bench: Served) -> None:
     with window_of(browser, 1280, 800) as page:
-        page.goto(f"{bench.address}/wheel")
+        page.goto(with_token(f"{bench.address}/wheel"))
         steering, problems = page.evaluate(
             """async () => {
               const { Gamepads } = await import('STATIC/js/wheel/gamepads.js');
@@ -205,7 +205,7 @@ def test_the_drive_goes_on_where_it_was_when_the_connection_is_cut(browser: Brow
         window_of(browser, 1280, 800) as page,
     ):
         with served(tmp_path, port=port) as bench:
-            page.goto(f"{bench.address}{host.address}")
+            page.goto(with_token(f"{bench.address}{host.address}"))
             page.wait_for_selector("#wheel[data-holder=true][data-frame]")
             page.keyboard.press("r")
             wait_until(lambda: host.number_of("record") == 1)

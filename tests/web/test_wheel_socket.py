@@ -15,7 +15,6 @@ from waiting import PATIENCE_S, wait_until
 from workbench import Served, served
 
 JPEG = b"\xff\xd8 a picture \xff\xd9"
-TOKEN = "the-token-of-this-test"
 
 
 @pytest.fixture
@@ -33,10 +32,10 @@ def bench(tmp_path: Path, wheel: Wheel) -> Iterator[Served]:
 
 
 def socket(
-    bench: Served, key: str, origin: str | None = "own", query: str = "", **headers: str
+    bench: Served, key: str, origin: str | None = "own", query: str = "", cookie: str = ""
 ) -> ClientConnection:
     own = f"http://127.0.0.1:{bench.port}"
-    given = {name.replace("_", "-"): value for name, value in headers.items()}
+    given = {"Cookie": cookie or f"bc-web-{bench.port}={bench.token}"}
     return connect(
         f"ws://127.0.0.1:{bench.port}/wheel/{key}/socket{query}",
         origin=own if origin == "own" else origin,  # type: ignore[arg-type]
@@ -115,18 +114,13 @@ def test_a_name_that_leads_here_but_is_not_ours_cannot_steer(bench: Served, whee
     assert answer.status == 403
 
 
-def test_where_others_reach_it_the_socket_needs_the_token(tmp_path: Path, wheel: Wheel) -> None:
-    with served(tmp_path, "0.0.0.0", TOKEN) as bench:
-        for headers in ({}, {"Cookie": "bc-web-token=wrong"}):
-            with pytest.raises(InvalidStatus) as refused:
-                socket(bench, wheel.key, **headers)
-            assert refused.value.response.status_code == 403
-        with pytest.raises(
-            InvalidStatus
-        ):  # an address stands in histories: only a page's is exchanged for a cookie
-            socket(bench, wheel.key, query=f"?token={TOKEN}")
-        with socket(bench, wheel.key, Cookie=f"bc-web-token={TOKEN}") as page:
-            assert json.loads(page.recv(PATIENCE_S))["type"] == "hello"
+def test_the_socket_needs_the_cookie_of_the_pages(bench: Served, wheel: Wheel) -> None:
+    """An address stands in histories: only that of a page is exchanged for a cookie."""
+    for query, cookie in (("", "a=b"), ("", f"bc-web-{bench.port}=wrong"), (f"?token={bench.token}", "a=b")):
+        with pytest.raises(InvalidStatus) as refused:
+            socket(bench, wheel.key, query=query, cookie=cookie)
+        assert refused.value.response.status_code == 403
+    assert wheel.pages == 0
 
 
 def test_there_is_no_socket_of_a_drive_that_does_not_run(bench: Served) -> None:

@@ -1,15 +1,19 @@
 """Access control: the check of each request's Host, Origin and token, and the headers of each response.
 
-A page of another site in the same browser can send requests to this machine. Its `Host` is foreign (DNS
-rebinding), or its `Origin` is. If it sends no Origin, `Sec-Fetch-Site` shows the other site
-(https://www.w3.org/TR/fetch-metadata/). Programs other than browsers send neither. They need not be kept out: they
-can read the files themselves. A websocket steers a car, so it always needs our Origin. If other machines can reach
-the port, every request needs the printed token.
+Every program on this machine can send requests to its ports, also those of other users. So each request needs the
+token, which is new at each start. bc-web prints an address with the token; opening it sets a cookie. A token that
+outlives its server would be lost to the next program that listens on the port: open pages send their cookie to it.
+
+A page of another site in the same browser can send requests to this machine, too. Its `Host` is foreign (DNS
+rebinding), or its `Origin` is, or `Sec-Fetch-Site` shows the other site (https://www.w3.org/TR/fetch-metadata/). A
+link of another site opens no page: opening a page starts work. A websocket steers a car, so it always needs our
+Origin.
 """
 
 from __future__ import annotations
 
 import hmac
+import re
 import secrets
 from typing import Final
 from urllib.parse import parse_qsl, quote, urlencode
@@ -24,9 +28,9 @@ from recorder.server.allowed_hosts import AllowedHosts, is_loopback
 from web.errors import WebError
 from web.folders.uploads import MAX_UPLOAD_BYTES
 from web.server.error_pages import error_answer
+from web.server.static_files import STATIC
 
 TOKEN: Final = "token"
-_COOKIE: Final = "bc-web-token"
 MAX_BODY_BYTES: Final = 1 << 20
 UPLOAD: Final = "/import.upload"
 """The address that takes recordings, which may be larger."""
@@ -54,19 +58,21 @@ _HEADERS: Final = {
 _LOCAL_HEADERS: Final = {"Cross-Origin-Opener-Policy": "same-origin"}
 
 
-def token_for(host: str) -> str:
-    """A new token if other machines can reach the server, else ""."""
-    return "" if is_loopback(host) else secrets.token_urlsafe(24)
+def new_token() -> str:
+    return secrets.token_urlsafe(24)
 
 
 class RequestGuard:
     """ASGI middleware around the whole app."""
 
-    def __init__(self, app: ASGIApp, host: str, token: str) -> None:
-        """`token` is "" if requests need none."""
+    def __init__(self, app: ASGIApp, host: str, token: str, once: str = "") -> None:
+        """`token` is "" if requests need none. `once` opens the workbench in place of the token, but only once: a
+        browser gets it in its command line, which other users of this machine can see."""
         self._app = app
         self._hosts = AllowedHosts(host)
         self._token = token
+        self._once = once
+        self._headers = {**_HEADERS, **_LOCAL_HEADERS} if is_loopback(host) else _HEADERS
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -74,9 +80,12 @@ class RequestGuard:
         answer: ASGIApp = self._app
         try:
             self._check_origin(scope)
-            if self._token:
-                answer = self._check_token(scope) or self._app
-            _check_size(scope)
+            if (entry := self._entry(scope)) is not None:
+                answer = entry
+            else:
+                _check_site(scope)
+                self._check_token(scope)
+                _check_size(scope)
         except WebError as error:
             if scope["type"] == "websocket":  # uvicorn reports a refusal with a text as a bug
                 await send({"type": "websocket.close"})
@@ -90,7 +99,7 @@ class RequestGuard:
             if message["type"] == "http.response.start":
                 is_begun = True
                 headers = MutableHeaders(scope=message)
-                for name, value in (_HEADERS if self._token else {**_HEADERS, **_LOCAL_HEADERS}).items():
+                for name, value in self._headers.items():
                     headers.setdefault(name, value)
                 headers.setdefault("Cache-Control", "no-store")
             await send(message)
@@ -114,36 +123,60 @@ class RequestGuard:
             )
         if origin is None and scope["type"] == "websocket":  # a browser always sends one
             raise WebError("a websocket without an Origin: only the workbench's own pages may open one", 403)
-        site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
-        is_get = scope.get("method") == "GET"
-        is_opened = mode == "navigate" and is_get and headers.get("sec-fetch-dest") == "document"
-        if site not in (None, "same-origin", "none") and not is_opened:
-            raise WebError(
-                "a request by a page of another site: only the workbench's own pages may send requests", 403
-            )
 
-    def _check_token(self, scope: Scope) -> ASGIApp | None:
-        """Raise WebError for a request without the token. If its address has the token, return an answer that sets
-        a cookie and redirects to the address without the token."""
-        headers = Headers(scope=scope)
+    def _entry(self, scope: Scope) -> ASGIApp | None:
+        """For an address with the token, the answer that sets the cookie and redirects to the address without the
+        token."""
         query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-        in_address = next((value for name, value in query if name == TOKEN), "")
-        if in_address and self._is_token(in_address) and scope["type"] == "http":
-            rest = urlencode([(name, value) for name, value in query if name != TOKEN])
-            # one slash, because two begin the address of another server
-            path = "/" + quote(scope["path"]).lstrip("/")
-            answer = RedirectResponse(f"{path}?{rest}" if rest else path, status_code=303)
-            answer.set_cookie(_COOKIE, self._token, httponly=True, samesite="lax")
-            return answer
+        given = next((value for name, value in query if name == TOKEN), "")
+        if scope["type"] != "http" or not (self._is_token(given) or self._is_once(given)):
+            return None
+        rest = urlencode([(name, value) for name, value in query if name != TOKEN])
+        # one slash, because two begin the address of another server
+        path = "/" + quote(scope["path"]).lstrip("/")
+        answer = RedirectResponse(f"{path}?{rest}" if rest else path, status_code=303)
+        answer.set_cookie(_cookie(scope), self._token, httponly=True, samesite="strict")
+        return answer
+
+    def _check_token(self, scope: Scope) -> None:
+        """Raise WebError for a request without the token. Files of the pages need none: they are the toolkit's."""
+        headers = Headers(scope=scope)
+        if not self._token or scope["path"].startswith(f"{STATIC}/"):
+            return
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and self._is_token(bearer.strip()):
-            return None
-        if self._is_token(cookie_parser(headers.get("cookie", "")).get(_COOKIE, "")):
-            return None
-        raise WebError("this workbench needs its token: open the address that bc-web printed at its start", 401)
+            return
+        if not self._is_token(cookie_parser(headers.get("cookie", "")).get(_cookie(scope), "")):
+            raise WebError(
+                "this page needs the token of bc-web: open the address that bc-web printed, which ends with it;"
+                " each start of bc-web has a new one",
+                401,
+            )
 
     def _is_token(self, text: str) -> bool:
-        return hmac.compare_digest(text.encode(), self._token.encode())
+        return bool(self._token) and hmac.compare_digest(text.encode(), self._token.encode())
+
+    def _is_once(self, text: str) -> bool:
+        if not self._once or not hmac.compare_digest(text.encode(), self._once.encode()):
+            return False
+        self._once = ""
+        return True
+
+
+def _cookie(scope: Scope) -> str:
+    """The name of the cookie. Browsers send the cookies of all ports of a host, so it has the port."""
+    port = Headers(scope=scope).get("host", "").rpartition(":")[2]
+    return f"bc-web-{port}" if re.fullmatch("[0-9]{1,5}", port) else "bc-web"
+
+
+def _check_site(scope: Scope) -> None:
+    """Raise WebError for what a page of another site requests, also by a link."""
+    headers = Headers(scope=scope)
+    if headers.get("sec-fetch-site") in (None, "same-origin", "none"):
+        return
+    if headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document":
+        raise WebError("another site led here: for your safety, its link opens nothing; go on from here", 403)
+    raise WebError("a request by a page of another site: only the workbench's own pages may send requests", 403)
 
 
 def _check_size(scope: Scope) -> None:

@@ -23,9 +23,10 @@ async function poll() {
   clearTimeout(next);
   if (document.hidden) return;
   let hasChanged = false;
+  let reason = NO_ANSWER;
   try {
     const answer = await fetch("/changes");
-    if (!answer.ok) throw new Error(answer.statusText);
+    if (!answer.ok) throw new Error((reason = reasonIn(await answer.text(), answer.status)));
     const versions = await answer.json();
     const isBack = unanswered > 0; // a list may lack what was entered meanwhile
     if (isBack) showStatus("");
@@ -39,7 +40,7 @@ async function poll() {
     }
   } catch {
     unanswered += 1;
-    if (unanswered > 1) showStatus(NO_ANSWER);
+    if (unanswered > 1) showStatus(reason);
   }
   next = setTimeout(poll, hasChanged ? WHILE_CHANGING_MS : EVERY_MS);
 }

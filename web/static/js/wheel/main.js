@@ -118,6 +118,7 @@ async function findOut() {
   try {
     const answer = await fetch(page.dataset.at, { method: "HEAD" });
     if (answer.status === 404) ended({ why: "its process has ended" });
+    if (answer.status === 401) showProblem("bc-web was started again, and all keys are released. The drive goes on. Open the address that bc-web printed: it has a new token.");
   } catch {
     showProblem("bc-web does not answer, and all keys are released. The drive goes on. The page connects again by itself.");
   }
