@@ -55,6 +55,17 @@ def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
     assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+def test_a_log_whose_name_is_not_utf8_is_no_bug_of_a_search(
+    bench: Served, capfd: pytest.CaptureFixture[str]
+) -> None:
+    sessions = bench.folder / "sessions"
+    write_log(sessions / NOT_TEXT, [0.1, 0.2, 0.3])
+    logs = bench.get("/sessions.found?where=abs(steering)%3E0.15").json["logs"]
+    assert [log["key"] for log in logs] == ["a"]
+    assert capfd.readouterr().err == ""
+
+
 def test_a_run_of_a_session_whose_name_is_no_text_is_shown(bench: Served) -> None:
     config = a_run(bench.folder / "runs", "x") / "config.json"
     config.write_text(json.dumps({**json.loads(config.read_text()), "data": {"logs": {"\ud800": {}}}}))

@@ -17,8 +17,9 @@ from common.location import Location
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_table import frames_table
+from dataset.index.sessions import name_problem
 from dataset.samples.filter import Condition
-from recorder import Log
+from recorder import Log, LogError
 from recorder.log.tags import read_tags, tags_path
 from web.folders.background import Background
 from web.folders.project_folders import ProjectFolders
@@ -81,7 +82,9 @@ class WhereSearches:
 
     def numbers(self, where: str, path: Location) -> set[int]:
         """The rows of a log that meet the condition. Raises DatasetError for a condition that is invalid or takes
-        too long, and LogError for an unreadable log."""
+        too long, and LogError for an unreadable log, and for one whose name is not text."""
+        if problem := name_problem(path):
+            raise LogError(problem)
         self._folders.refuse_unanswered(path)
         with Log(path) as log:
             frames = frames_table(log, self._folders.local_index, IndexConfig(), read_tags(path, log.fingerprint))

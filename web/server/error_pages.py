@@ -6,7 +6,7 @@ from http import HTTPStatus
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import Scope
 
@@ -56,4 +56,15 @@ def on_bug(request: Request, error: Exception) -> Response:
     return error_answer(request.scope, WebError(report_bug(error, "a bug of the workbench"), 500))
 
 
-HANDLERS = {UserError: on_user_error, HTTPException: on_http_error, OSError: on_os_error, Exception: on_bug}
+def on_disconnect(request: Request, error: Exception) -> Response:
+    """The client has left before its request had arrived: nobody reads the answer."""
+    return Response(status_code=400)
+
+
+HANDLERS = {
+    UserError: on_user_error,
+    HTTPException: on_http_error,
+    ClientDisconnect: on_disconnect,
+    OSError: on_os_error,
+    Exception: on_bug,
+}
