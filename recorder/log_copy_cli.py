@@ -111,7 +111,6 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
     import tempfile
 
     from common.progress import progress_bar, progress_task
-    from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
         copies: list[Path] = []
@@ -119,6 +118,8 @@ def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
             if isinstance(place, Path):
                 copies.append(place)
                 continue
+            from recorder.upkeep.copy_log import copy_log  # obstore, an extra
+
             copy = Path(folder) / str(number) / place.name
             about = f"copying {place.name}, bytes"
             with progress_bar() as bar, progress_task(bar, about, size_of(place)) as advance:
