@@ -27,6 +27,7 @@ LOCAL: Final = "127.0.0.1"
 SENDER_LOG: Final = "error,re_grpc_client=off,re_sdk=off"
 """Rerun's log level in the sending process: closing a viewer while it receives data is not an error."""
 
+_NO_USAGE_DATA: Final = {"CI": "true"}  # Rerun's only switch outside of the user's settings
 _PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
 _GRACE_S: Final = 1.0  # then a process that ignores SIGTERM, because it is frozen, is killed
 _LAST_WORDS_S: Final = 5.0  # time limit to read the stderr of an ended viewer; its children may still hold it
@@ -111,7 +112,7 @@ def open_viewer(
     if server_memory is not None:
         command += ["--server-memory-limit", server_memory]
     wanted = os.environ.get("RUST_LOG", SENDER_LOG)
-    environment = {**os.environ, "RUST_LOG": "error" if wanted == SENDER_LOG else wanted}
+    environment = {**os.environ, **_NO_USAGE_DATA, "RUST_LOG": "error" if wanted == SENDER_LOG else wanted}
     viewer = Viewer(command, environment)
     try:
         yield viewer

@@ -62,6 +62,19 @@ def running_viewer() -> Iterator[Ports]:
         yield ports
 
 
+@pytest.mark.skipif(os.name != "posix", reason="its settings are in the home folder there")
+def test_a_viewer_that_we_start_collects_no_usage_data_and_does_not_speak_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As on its first start for a user: it has no settings yet."""
+    for name in ("CI", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with running_viewer():
+        assert not [path for path in tmp_path.rglob("*") if "analytics" in path.name]
+    assert "usage data" not in "".join(capfd.readouterr())
+
+
 @contextlib.contextmanager
 def received(ports: Ports, rrd: Path, pictures: int = ROWS) -> Iterator[None]:
     """Another client of the viewer writes all that it has to a file, until the viewer is ended within."""
