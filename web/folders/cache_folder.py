@@ -17,7 +17,7 @@ from common.users_cache import users_cache
 Kept = TypeVar("Kept")
 
 _MAX_BYTES: Final = 512 << 20
-_KEPT_SHARE: Final = 0.8  # after tidying, so that it is seldom needed
+_ROOM_BYTES: Final = _MAX_BYTES // 5  # free after tidying, so that it is seldom needed
 
 
 def default_cache_folder() -> Path:
@@ -29,6 +29,7 @@ class CacheFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._since_tidied = 0  # bytes
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:
         """The data of a key. If there are none, call `make` and keep what it returns."""
@@ -54,7 +55,8 @@ class CacheFolder:
             return None
 
     def tidy(self) -> None:
-        """Remove the oldest files if the folder has more than half a gigabyte."""
+        """Remove the oldest files, so that a fifth of half a gigabyte is free."""
+        self._since_tidied = 0
         files = []
         with contextlib.suppress(OSError):
             for path in self.folder.glob("*/*"):
@@ -62,14 +64,16 @@ class CacheFolder:
                 files.append((status.st_mtime_ns, status.st_size, path))
         files.sort(reverse=True)
         total = 0
-        is_too_large = sum(size for _, size, _ in files) > _MAX_BYTES
-        for _, size, path in files if is_too_large else ():
+        for _, size, path in files:
             total += size
-            if total > _MAX_BYTES * _KEPT_SHARE:
+            if total > _MAX_BYTES - _ROOM_BYTES:
                 with contextlib.suppress(OSError):
                     path.unlink()
 
     def keep(self, key: str, data: bytes) -> None:
+        if self._since_tidied + len(data) > _ROOM_BYTES:
+            self.tidy()
+        self._since_tidied += len(data)
         path = self._path(key)
         part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")
         try:
