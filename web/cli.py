@@ -32,7 +32,7 @@ class Web:
     open: bool = False
     """Open the browser."""
     token: bool = True
-    """Let every user of this machine open it."""
+    """Ask for no token: every user of this machine can open it."""
     sessions: LocationFlag = Path("sessions")
     """The sessions."""
     index: LocationFlag = Path("index")
