@@ -181,7 +181,7 @@ def test_the_address_in_the_command_line_of_the_browser_opens_once(
     monkeypatch.setenv("BROWSER", f"{browser} %s")
     with Process(command("bc-web", "--port", *free_ports(1), "--open"), cwd=tmp_path) as process:
         bench = served_by(process, tmp_path)
-        address = wait_until(lambda: opened.exists() and opened.read_text().strip())
+        address = wait_until(lambda: opened.read_text().strip() if opened.exists() else "")
         assert address.startswith(f"{bench.address}/?token=")
         assert bench.token not in address
         nobody = Served(tmp_path, bench.port, token="")
