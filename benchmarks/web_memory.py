@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("project", type=Path)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as cache:
-        line = [sys.executable, "-c", "from web.cli import main; main()", "--port", str(PORT)]
+        line = [sys.executable, "-c", "from web.cli import main; main()", "--no-token", "--port", str(PORT)]
         with subprocess.Popen(line, cwd=asked.project, env={**os.environ, "BC_CACHE": cache}) as server:
             try:
                 process = psutil.Process(server.pid)

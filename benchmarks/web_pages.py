@@ -114,7 +114,7 @@ def process(code: str, folder: Path, *arguments: str) -> Iterator[psutil.Process
 
 def workbench(folder: Path) -> contextlib.AbstractContextManager[psutil.Process]:
     code = "from behavioural_cloning_toolkit import bc_web as main; main()"
-    return process(code, folder, "--port", str(PORT))
+    return process(code, folder, "--no-token", "--port", str(PORT))
 
 
 def static_server(folder: Path) -> contextlib.AbstractContextManager[psutil.Process]:

@@ -86,7 +86,7 @@ def workbench(folder: Path) -> Iterator[tuple[psutil.Process, str]]:
             return True
         return None
 
-    with running(folder, "bc-web", "--port", port) as server:
+    with running(folder, "bc-web", "--no-token", "--port", port) as server:
         wait_for(answers, "bc-web", server)
         yield server, f"http://127.0.0.1:{port}"
 

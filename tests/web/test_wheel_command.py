@@ -86,6 +86,8 @@ def test_the_page_of_a_supervised_drive_knows_its_log_and_its_run(tmp_path: Path
 def test_a_killed_bc_web_leaves_the_drive_and_its_log_as_they_are() -> None:
     with recording() as process:
         assert 'data-after="/wheel/after/sessions/mine"' in get(process)
+        printed = process.wait_for(ADDRESS)
+        assert Served(Path(), int(printed[1]), token="").get(printed[2]).status == 401  # for other users
         with WheelPage(open_wheels(Path.cwd())[0]) as page:
             drive(page, 3)
             os.kill(child_of(process), signal.SIGKILL)
