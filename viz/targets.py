@@ -111,9 +111,7 @@ def open_destination(
         if web:
             print_result(ports.web_address)
             print_notice("open that address in a browser; Ctrl-C ends")
-            print_notice(
-                "other users of this machine can open it; Rerun in a page of `bc-web` is yours alone"
-            )
+            print_notice("other users of this machine can open it; Rerun in a page of `bc-web` is yours alone")
         yield ports.data_address, viewer
 
 

@@ -63,7 +63,7 @@ def running_viewer() -> Iterator[Ports]:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="its settings are in the home folder there")
-def test_a_viewer_that_we_start_collects_no_usage_data_and_does_not_speak_of_it(
+def test_a_viewer_that_we_start_collects_no_usage_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """As on its first start for a user: it has no settings yet."""

@@ -192,7 +192,7 @@ def test_the_address_in_the_command_line_of_the_browser_opens_once(
         assert nobody.get(path).status == 401
 
 
-def test_without_the_token_every_user_of_this_machine_is_let_in_but_no_other_site(tmp_path: Path) -> None:
+def test_without_a_token_other_users_are_let_in_but_no_other_site(tmp_path: Path) -> None:
     with Process(command("bc-web", "--no-token", "--host", "0.0.0.0"), cwd=tmp_path) as refused:
         assert refused.join() == 2
     assert ["--no-token" in line for line in refused.stderr] == [True]

@@ -43,9 +43,7 @@ def test_a_link_of_another_site_opens_nothing_but_a_way_on(browser: Browser, tmp
             assert "open the address that bc-web printed" in page.inner_text("main")
 
 
-def test_a_page_of_an_earlier_start_says_so_and_goes_on_once_the_new_address_is_opened(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_a_page_of_an_earlier_start_goes_on_with_the_new_address(browser: Browser, tmp_path: Path) -> None:
     write(tmp_path, "lake")
     (port,) = free_ports(1)
     with window_of(browser, 1280, 800) as page:
@@ -65,7 +63,7 @@ def test_a_page_of_an_earlier_start_says_so_and_goes_on_once_the_new_address_is_
             wait_until(lambda: not page.inner_text("#status"))
 
 
-def test_the_wheel_of_an_earlier_start_is_held_again_once_the_new_address_is_opened(
+def test_the_wheel_of_an_earlier_start_is_held_with_the_new_address(
     browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
