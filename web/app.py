@@ -52,12 +52,12 @@ def workbench_app(
             stack.enter_context(hurried())
         bench = Workbench(folders, cache)
         stack.callback(bench.close)
-        app = Starlette(routes=_routes(bench), exception_handlers=HANDLERS)
+        app = Starlette(routes=routes_of(bench), exception_handlers=HANDLERS)
         compressed = GZipMiddleware(app, compresslevel=5, exclude_content_types=_NOT_COMPRESSED)
         yield TrimmedApp(RequestGuard(compressed, host, token, once))
 
 
-def _routes(bench: Workbench) -> list[BaseRoute]:
+def routes_of(bench: Workbench) -> list[BaseRoute]:
     per_log = session_routes, log_file_routes, rerun_log_routes
     return [
         *session_list_routes(bench),

@@ -47,14 +47,7 @@ def extra(
     (seen,) = made.environment.glob("lib/python*/site-packages")
     (site / "base.pth").write_text(f"{seen}\n")
     (wheel,) = INSTALLED.glob("*.whl")
-    pip: list[object] = [
-        environment / "bin" / "python",
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-    ]
-    subprocess.run([*pip, "--no-deps", "--force-reinstall", wheel], check=True)  # its commands
-    subprocess.run([*pip, "-c", ROOT / "constraints.txt", f"{wheel}[{request.param}]"], check=True)
+    pip = [str(environment / "bin" / "pip"), "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "--no-deps", "--force-reinstall", str(wheel)], check=True)  # its commands
+    subprocess.run([*pip, "-c", str(ROOT / "constraints.txt"), f"{wheel}[{request.param}]"], check=True)
     return request.param, Toolkit(environment, made.folder)

