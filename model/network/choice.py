@@ -202,5 +202,7 @@ def _parameter(make: Callable[..., Any], name: str) -> inspect.Parameter | None:
 
 
 def _why(error: Exception) -> str:
-    needs_gpu = not torch.cuda.is_available() and "cuda" in f"{type(error)} {error}".lower()
+    # PyTorch without CUDA: "not compiled with CUDA enabled"; with CUDA: "Found no NVIDIA driver"
+    about = f"{type(error)} {error}".lower()
+    needs_gpu = not torch.cuda.is_available() and ("cuda" in about or "nvidia" in about)
     return in_one_line(error) + (": it needs a GPU, and PyTorch finds none" if needs_gpu else "")

@@ -82,7 +82,8 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that training depends on."""
     return {
         "python": platform.python_version(),
-        **{name: version_of(name) for name in (TOOLKIT, "torch", "numpy", "pyarrow")},
+        **{name: version_of(name) for name in (TOOLKIT, "numpy", "pyarrow")},
+        "torch": torch.__version__,  # with its build, as +cpu or +cu130, which the package's version may lack
         "opencv": cv2.__version__,
     }
 

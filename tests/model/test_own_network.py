@@ -25,6 +25,7 @@ from model.network.choice import choose_network, chosen_picture
 from model.network.own_code import load_code
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
+from needs import require
 from toy import TINY
 from udacity import call
 
@@ -254,8 +255,8 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
     ],
 )
 def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, said: str) -> None:
-    if torch.cuda.is_available() and "GPU" in said:
-        pytest.skip("there is one here")
+    if "GPU" in said:
+        require("no_gpu")
     path = written(tmp_path, source)
     with pytest.raises(RunError, match=said) as caught:
         choose_network(replace(ONE, network=f"{path}:Net")).try_out(ORIGINAL, torch.device("cpu"))
