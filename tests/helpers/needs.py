@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -40,14 +39,6 @@ def _has_gpu() -> bool:
     return torch.cuda.is_available()
 
 
-def _can_import(module: str) -> bool:
-    try:
-        importlib.import_module(module)
-    except (ImportError, RuntimeError):  # torchvision beside another build of PyTorch
-        return False
-    return True
-
-
 NEEDS: Final[Mapping[str, Need]] = {
     "recordings": Need("real Udacity recordings", "name their folder in BC_RECORDINGS", RECORDINGS.is_dir),
     "chromium": Need("Chromium", "apt install chromium", lambda: CHROMIUM != "" and os.name == "posix"),
@@ -73,7 +64,7 @@ NEEDS: Final[Mapping[str, Need]] = {
         "Box2D", "Python 3.13 or older; newer ones have no wheels of it", lambda: find_spec("Box2D") is not None
     ),
     "torchvision": Need(
-        "a torchvision that fits this PyTorch", "install both from one index", lambda: _can_import("torchvision")
+        "torchvision", ".venv/bin/pip install torchvision", lambda: find_spec("torchvision") is not None
     ),
     "gpu": Need("a GPU of NVIDIA", "a machine with one", _has_gpu),
     "no_gpu": Need("a machine without a GPU", "CUDA_VISIBLE_DEVICES= make test", lambda: not _has_gpu()),

@@ -13,7 +13,6 @@ from rosbags.rosbag2 import StoragePlugin
 import run_examples
 from installed_toolkit import Toolkit, names_the_extra
 from lerobot_logs import write_drives
-from needs import require
 from other_logs import CAMERA, WHEEL, angle, image, write_bag, write_mcap
 from repository import ROOT
 from tubs import record_2, write_tub_2
@@ -170,7 +169,6 @@ def test_an_extra_makes_its_commands_work(extra: tuple[str, Toolkit], tmp_path: 
         toolkit.do("bc-train", "--name", "curves", "--network", "small", "--epochs", 1, "--tensorboard")
         assert list((toolkit.folder / "runs/curves/tensorboard").iterdir())
     else:
-        require("torchvision")
         small = ("--picture-px", 64, 48, "--epochs", 1)
         toolkit.do("bc-train", "--name", "residual", "--network", "resnet18", *small)
 
