@@ -69,7 +69,7 @@ class IndexConfig:
     """Changes to copies, each with probability one half."""
     drives: Drives = "all"
     """Frames of drives: all, or takeovers only."""
-    where: Annotated[str | None, arg(metavar="SQL")] = None
+    where: Annotated[str | None, arg(metavar="CONDITION")] = None
     """Condition on the frames to use, such as "speed_mph > 5"."""
     block_s: float = 10.0
     """Seconds in a block of the split."""

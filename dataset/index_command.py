@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import pyarrow.compute as pc
 
-from common.command import FAILED, flags_given, usage_errors, warn
+from common.command import FAILED, flags_given, warn
 from common.errors import UsageError, counted, first_of
 from common.files import session_name
 from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
 from common.ray_flag import tasks_of
-from dataset.errors import DatasetError
+from dataset.frames.frames_file import check_where
 from dataset.frames.image_check_cache import check_all_images
 from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
@@ -23,7 +23,6 @@ from dataset.index.leaks import find_leaks
 from dataset.index.sessions import find_logs, sessions_beside
 from dataset.index.stored_index import index_here
 from dataset.parquet_file import read_columns
-from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_NAME
 
 if TYPE_CHECKING:
@@ -91,8 +90,7 @@ def _refuse_contradictions(config: Index) -> None:
     if config.config.validation and (flags := flags_given(config.config, *of_blocks)):
         raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")
     if config.config.where is not None:
-        with usage_errors(DatasetError):
-            Condition(config.config.where).check()
+        check_where(config.config.where)
 
 
 def _one_sided(indexed: Indexed, config: Index) -> list[str]:

@@ -10,16 +10,17 @@ import msgspec
 import numpy as np
 
 from common import UserError
+from common.errors import UsageError
 from common.location import Location
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import read_frames
+from dataset.frames.frames_file import check_where, read_frames
 from dataset.index.stored_index import frames_here
-from dataset.samples.filter import Condition
 from dataset.samples.frame_choice import choose_frames
 from dataset.samples.samples_format import SessionLabels
 from dataset.samples.samples_reader import Samples
 from recorder.lerobot.export import Exported, export_lerobot
 from recorder.lerobot.log_episodes import ChosenRows
+from recorder.rows.condition import rows_where
 
 
 def export_index(index: Location, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
@@ -29,7 +30,7 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
     With `where`, one of these frames must also meet the condition. The steering is the recorded one, not the
     label. `options` are those of `export_lerobot`.
 
-    Raises DatasetError if the index is missing or does not fit its logs, or if the condition is wrong. Raises
+    Raises DatasetError if the index is missing or does not fit its logs, UsageError if the condition is wrong,
     LogError if nothing can be exported, UserError if no row is used, or if `folder` exists or cannot be written.
     """
     with Samples(index) as samples:
@@ -47,8 +48,11 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
 def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
     """The used rows that meet `where`, by session."""
     config = samples.settings
-    condition = None if config.where is None else Condition(config.where)
-    where_condition = None if where is None else Condition(where)
+    if config.where is not None:
+        try:
+            check_where(config.where)
+        except UsageError as error:  # of an earlier version, which took SQL
+            raise DatasetError(f"{index}: made with {error}; run `bc-index` again") from None
     frames_folder = frames_here(index)
     chosen: dict[str, ChosenRows] = {}
     for session in samples.sources:
@@ -59,8 +63,8 @@ def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mappin
                 f"{samples.path}: lacks the label plan of session {session}; run `bc-index` again"
             ) from None
         frames = read_frames(frames_folder / f"{session}.parquet")
-        choice = choose_frames(frames, config, labels, condition)
-        is_used = choice.is_chosen if where_condition is None else choice.is_chosen & where_condition.holds(frames)
+        choice = choose_frames(frames, config, labels)
+        is_used = choice.is_chosen if where is None else choice.is_chosen & rows_where(frames, where)
         row, first = np.unique(frames["row"].to_numpy()[is_used], return_index=True)
         chosen[session] = ChosenRows(row, np.where(choice.is_training[is_used][first], "train", "validation"))
     return chosen

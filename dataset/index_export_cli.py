@@ -10,9 +10,8 @@ from typing import Annotated
 import tyro
 
 from common.allowed_places import allow_places
-from common.command import run_command, usage_errors
+from common.command import run_command
 from common.location_flag import LocationFlag
-from dataset.errors import DatasetError
 from recorder.log_export_cli import print_exported, refuse_no_text
 
 
@@ -26,8 +25,8 @@ class ExportIndex:
     """The index."""
     sessions: LocationFlag = Path("sessions")
     """Folder of the logs, for an index that was built elsewhere."""
-    where: str | None = None
-    """Only rows that meet this SQL condition on the index's columns."""
+    where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
+    """Only rows that meet this condition on the index's columns."""
     task: str = "Drive along the road."
     """The task in words, for networks that read it."""
     license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
@@ -37,14 +36,13 @@ class ExportIndex:
 
 
 def export(config: ExportIndex) -> int:
+    from dataset.frames.frames_file import check_where
     from dataset.index_export import export_index
-    from dataset.samples.filter import Condition
 
     allow_places(config.sessions)
     refuse_no_text(("--task", config.task), ("--license", config.license))
     if config.where is not None:
-        with usage_errors(DatasetError):
-            Condition(config.where).check()
+        check_where(config.where)
     done = export_index(
         config.index,
         config.lerobot,

@@ -95,8 +95,8 @@ class NameRows:
         from recorder.log.reader import Log
         from recorder.log.road_places import states_of
         from recorder.log.tagged_rows import fine_rows
+        from recorder.rows.condition import log_columns, rows_where
         from recorder.rows.odd_stretches import odd_stretches
-        from recorder.rows.row_condition import rows_where
 
         with Log(self.log) as log:
             states = states_of(log)
@@ -106,7 +106,7 @@ class NameRows:
 
                 odd = with_pictures(log, states, odd)
         if self.where is not None:
-            edges = stretches(rows_where(states, self.where))
+            edges = stretches(rows_where(log_columns(states), self.where))
             chosen = [Tag(int(states.row[first]), int(states.row[last]), name) for first, last in edges]
             words = [rows_of(tag) for tag in chosen]
         else:

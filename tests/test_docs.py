@@ -145,7 +145,7 @@ def named_so(name: str) -> bool:
 def test_the_lines_that_troubleshooting_quotes_are_printed() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     quoted = re.findall(r"`([^`]+)`", "".join(re.findall(r"^> .*$", page, re.MULTILINE)))
-    assert len(quoted) >= 30
+    assert len(quoted) > 25
     sources = [ROOT / "behavioural_cloning_toolkit.py", *SOURCES]
     texts = {text for path in sources for text in texts_in(path)}
     not_printed = []

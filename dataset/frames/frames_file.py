@@ -23,6 +23,7 @@ from dataset.errors import DatasetError, PlaceNotAllowedError
 from dataset.frames.image_check_cache import read_image_check
 from recorder import Log
 from recorder.log.tags import Tag
+from recorder.rows.condition import rows_where
 from recorder.topics import VEHICLE_COLUMNS
 
 FRAMES_FORMAT: Final = 9
@@ -61,6 +62,11 @@ _ALWAYS_NS: Final = (-(2**63), 2**63 - 1)
 
 REPEATING: Final = ("session", "camera", "driver", "device", "split")
 """Columns with few distinct values. They are read as dictionaries, which need less memory."""
+
+
+def check_where(condition: str) -> None:
+    """Raise UsageError if this is not a condition on the columns of frames."""
+    rows_where(FRAMES_SCHEMA.empty_table(), condition)
 
 
 def frames_metadata(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
-from dataset.frames.frames_file import FramesError, extent_of, file_if_rewritten, index_project
+from dataset.frames.frames_file import FramesError, check_where, extent_of, file_if_rewritten, index_project
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import (
     FRAMES_FOLDER,
@@ -47,7 +47,6 @@ from dataset.index.sessions import by_session_name
 from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
-from dataset.samples.filter import Condition
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
 from dataset.samples.samples_writer import write_samples
 from recorder import LogError
@@ -133,8 +132,8 @@ def build_index(
 def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -> None:
     """Check the settings of `build_index` before anything is read.
 
-    Raises DatasetError if a session to hold out is not in `logs`, if the condition is wrong, or if the index is a
-    file, a link, a run or a folder of logs. Raises UserError if DuckDB is missing.
+    Raises DatasetError if a session to hold out is not in `logs`, or if the index is a file, a link, a run or a
+    folder of logs. Raises UsageError if the condition is wrong.
     """
     names = sorted(map(session_name, logs))
     if missing := set(config.validation) - set(names):
@@ -147,7 +146,7 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
-        Condition(config.where).check()
+        check_where(config.where)
 
 
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:

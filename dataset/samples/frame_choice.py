@@ -13,9 +13,9 @@ from dataset.config import IndexConfig
 from dataset.frames.drivers import DRIVERS, is_taken
 from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
 from dataset.frames.frames_file import SPLITS, codes
-from dataset.samples.filter import Condition
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionCounts, SessionLabels
+from recorder.rows.condition import rows_where
 from recorder.rows.row_quality import NOT_LEARNT
 
 
@@ -31,19 +31,16 @@ class FrameChoice:
     counts: SessionCounts
 
 
-def choose_frames(
-    frames: pa.Table, config: IndexConfig, labels: SessionLabels, condition: Condition | None
-) -> FrameChoice:
-    """Choose frames by the settings. `condition` is `config.where`, compiled. Raises DatasetError if it does not
-    fit the columns of `frames`."""
+def choose_frames(frames: pa.Table, config: IndexConfig, labels: SessionLabels) -> FrameChoice:
+    """Choose frames by the settings. Raises UsageError if `config.where` is no condition on their columns."""
     split = codes(frames["split"], SPLITS)
     split = np.where((split == 1) & np.isin(frames["row"].to_numpy(), labels.shared_rows), 2, split)
     is_bad = is_unusable(frames)
     is_tagged = is_excluded(frames)
     camera = codes(frames["camera"], CAMERAS)
     is_selected = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
-    if condition is not None:
-        is_selected &= condition.holds(frames)
+    if config.where is not None:
+        is_selected &= rows_where(frames, config.where)
     is_wanted = is_selected & is_taken(codes(frames["driver"], DRIVERS), config.drives)
     steering, is_odd = planned_labels(frames, labels.plan)
     usable = is_wanted & ~is_bad & ~is_tagged

@@ -25,7 +25,6 @@ from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import codes, read_frames
 from dataset.parquet_file import METADATA_KEY
-from dataset.samples.filter import Condition
 from dataset.samples.frame_choice import choose_frames
 from dataset.samples.labels import planned_speed_mph, recorded_throttle
 from dataset.samples.sample_choice import ChosenSamples, choose_samples
@@ -65,14 +64,11 @@ def write_samples(
     Validation has every picture and its mirror image once, unaltered. `logs` (session to log and fingerprint) and
     `labels` are written to the file's metadata. Raises DatasetError if no frame can be used.
     """
-    condition = Condition(config.where) if config.where is not None else None
     sessions: list[_UsableFrames] = []
     counts: dict[str, SessionCounts] = {}
     slower_mph = _slower_set_speeds_mph(labels)
     for name, file in frames.items():
-        session, counts[name] = _usable_frames(
-            read_frames(file), config, labels[name], slower_mph[name], condition
-        )
+        session, counts[name] = _usable_frames(read_frames(file), config, labels[name], slower_mph[name])
         sessions.append(session)
     sizes = np.array([len(session.position) for session in sessions], np.int64)
     if not sizes.sum():
@@ -150,14 +146,10 @@ def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) ->
 
 
 def _usable_frames(
-    frames: pa.Table,
-    config: IndexConfig,
-    labels: SessionLabels,
-    slower_mph: Sequence[float],
-    condition: Condition | None,
+    frames: pa.Table, config: IndexConfig, labels: SessionLabels, slower_mph: Sequence[float]
 ) -> tuple[_UsableFrames, SessionCounts]:
-    """The usable frames of a session, with their labels. `condition` is `config.where`, compiled."""
-    choice = choose_frames(frames, config, labels, condition)
+    """The usable frames of a session, with their labels."""
+    choice = choose_frames(frames, config, labels)
     at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)
     label = _of_camera(choice.steering[at], camera[at], config)

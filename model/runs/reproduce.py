@@ -9,12 +9,13 @@ from typing import Any
 
 import msgspec
 
-from common.errors import first_of
+from common.errors import UsageError, first_of
 from common.location import Location, absolute, local_path
 from common.random_access import file_exists
 from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.errors import PlaceNotAllowedError
+from dataset.frames.frames_file import check_where
 from dataset.index.sessions import changed_logs, find_unchanged_log
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
@@ -110,6 +111,9 @@ def _data_of(stored: dict[str, Any], run: Path) -> tuple[IndexConfig, dict[str, 
         if any(Path(name).name != name for name in data.logs):
             raise ValueError("a session's name is a path")
         fingerprints = {name: log.fingerprint for name, log in data.logs.items()}
-        return settings_from(IndexConfig, data.settings), fingerprints
-    except ValueError as error:
+        settings = settings_from(IndexConfig, data.settings)
+        if settings.where is not None:
+            check_where(settings.where)
+        return settings, fingerprints
+    except (ValueError, UsageError) as error:
         raise RunError(f"{run / CONFIG}: its index settings cannot be used ({error})") from None

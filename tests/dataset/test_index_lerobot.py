@@ -138,3 +138,15 @@ def test_what_cannot_be_exported_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="the log of session one is missing"):
         export_index(index, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_kept_condition_in_sql_is_named_with_the_new_spelling(tmp_path: Path) -> None:
+    index = indexed(tmp_path, IndexConfig(block_s=0.5, where="row != 7"))
+    samples = pq.read_table(index / "samples.parquet")
+    about = json.loads(samples.schema.metadata[b"bc.index"])
+    about["settings"]["where"] = "list_contains(tags, 'fog')"
+    pq.write_table(samples.replace_schema_metadata({"bc.index": json.dumps(about)}), index / "samples.parquet")
+    with pytest.raises(
+        DatasetError, match=r"index: made with --where .*write 'recovery' in tags; .*`bc-index` again"
+    ):
+        export_index(index, tmp_path / "out")

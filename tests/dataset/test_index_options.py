@@ -1,13 +1,9 @@
-"""How an index is made: conditions in SQL, the leak check, and what is not done twice."""
+"""How an index is made: conditions, the leak check, and what is not done twice."""
 
 from __future__ import annotations
 
 import json
 import os
-import signal
-import sys
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.errors import UsageError
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main
 from dataset.frames.split import near_validation
 from dataset.index.leaks import find_leaks
-from dataset.samples.filter import Condition
 from logs import write_log, write_session
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
@@ -38,7 +34,7 @@ STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
     ("where", "rows"),
     [
         ("'recovery' in tags", set(range(50, 80))),
-        ("row < 20 -- the first two seconds", set(range(20))),
+        ("row < 20 and session = 'a' and camera != 'left'", set(range(20))),
     ],
 )
 def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) -> None:
@@ -55,26 +51,10 @@ def test_a_condition_chooses_frames(tmp_path: Path, where: str, rows: set[int]) 
 
 def test_what_is_no_condition_is_an_error_that_names_the_columns(tmp_path: Path) -> None:
     log = write_session(tmp_path / "a.mcap", STEERING)
-    for where in (
-        "speed >",
-        "nonsense = 1",
-        "1) or (1",
-        "'x'",
-        "row in (select 1",
-        "1=1) union all select 1 from (select 1",
-        "row = 1; drop table frames",
-        "row = 1 limit 3",
-    ):
-        with pytest.raises(DatasetError, match=r"--where .*columns are session, row, camera"):
+    for where in ("speed >", "nonsense = 1", "row in (select 1"):
+        with pytest.raises(UsageError, match=r"--where .*columns are session, row, camera"):
             build_index([log], tmp_path / "index", IndexConfig(where=where))
-
-
-def test_a_condition_reads_no_file(tmp_path: Path) -> None:
-    secret = tmp_path / "secret.csv"
-    secret.write_text("a\n1\n")
-    where = f"exists(select * from read_csv('{secret}'))"
-    with pytest.raises(DatasetError, match="disabled"):
-        build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index", IndexConfig(where=where))
+    assert not (tmp_path / "index").exists()
 
 
 def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> None:
@@ -86,37 +66,6 @@ def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> N
         empty = write_log(tmp_path / "empty.mcap", steering, cameras=[], overwrite=True)
         with pytest.raises(DatasetError, match=r"no picture in empty\.mcap; look with `bc-log check`"):
             build_index([empty], tmp_path / "index")
-    assert not (tmp_path / "index" / "samples.parquet").exists()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a signal to oneself is no Ctrl-C there")
-def test_a_condition_that_takes_long_can_be_interrupted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_session(tmp_path / "sessions" / "a.mcap", STEERING)
-
-    holds, begun = Condition.holds, threading.Event()
-
-    def holding(condition: Condition, frames: pa.Table) -> object:
-        begun.set()
-        return holds(condition, frames)
-
-    def stop_what_takes_long() -> None:
-        begun.wait()
-        used_s = time.process_time()
-        while time.process_time() < used_s + 0.3:  # it has been in DuckDB's hands for a while
-            threading.Event().wait(0.01)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(Condition, "holds", holding)
-
-    stopping = threading.Thread(target=stop_what_takes_long)
-    stopping.start()
-    minutes = "(select count(*) from range(3000000000) many(x) where (x * row) % 7 = 3) > 5"
-    assert call(main, "--where", minutes) == 130
-    stopping.join()
-    assert capsys.readouterr().err.splitlines()[-1] == "bc-index: stopped"
     assert not (tmp_path / "index" / "samples.parquet").exists()
 
 

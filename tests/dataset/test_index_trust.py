@@ -273,13 +273,6 @@ def test_a_split_without_samples_is_said(cwd: Path, capsys: pytest.CaptureFixtur
     assert call(main, "--validation-share", 0) == 0
 
 
-def test_a_condition_that_depends_on_chance_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="chooses different rows each time"):
-        build_index(
-            [write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index", IndexConfig(where="random() < 0.5")
-        )
-
-
 # The split and shared pictures
 
 

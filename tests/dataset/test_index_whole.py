@@ -394,17 +394,6 @@ def test_what_cannot_be_is_said_before_anything_is_read(
     assert not (cwd / "index").exists()
 
 
-def test_what_is_not_installed_is_said_before_anything_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "duckdb", None)
-    log_of(tmp_path / "sessions" / "a.mcap")
-    assert call(main, "--look", "--where", "row > 1") == 1
-    assert "pip install" in capsys.readouterr().err
-    assert not (tmp_path / "index").exists()
-
-
 def test_nothing_stays_of_an_index_that_was_refused(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log_of(cwd / "sessions" / "a.mcap")
     (cwd / "sessions" / "bad.mcap").write_bytes(b"no log")

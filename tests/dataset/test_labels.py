@@ -279,7 +279,6 @@ def test_validation_compares_treated_labels_with_the_recorded_ones(tmp_path: Pat
 
 
 def test_an_excluded_row_is_an_edge_and_a_condition_is_none(tmp_path: Path) -> None:
-    pytest.importorskip("duckdb", reason="DuckDB is not installed: --where was not tried")
     log = write_log(tmp_path / "a.mcap", STEERING)
     with Log(log) as opened:
         add_tags(log, opened.fingerprint, [Tag(50, 52, "exclude")])

@@ -191,6 +191,24 @@ def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
     assert notice in capsys.readouterr().err.splitlines()
 
 
+def test_a_run_whose_frames_were_chosen_in_sql_is_not_repeated(
+    cwd: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("sessions").mkdir()
+    write_log(Path("sessions/lake.mcap"), STEERING, road, cameras=["center"])
+    assert call(bc_index, "--block-s", 0.5, "--gap-s", 0, "--where", "row != 7") == 0
+    flags = ["--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
+    assert call(main, "--name", "first", *flags) == 0
+    shutil.rmtree("index")
+    config = Path("runs/first/config.json")
+    config.write_text(config.read_text().replace("row != 7", "row between 8 and 99"))
+    capsys.readouterr()
+    assert call(main, "--name", "again", "--like", "first") == 1
+    said = capsys.readouterr().err
+    assert "first/config.json: its index settings cannot be used (--where 'row between" in said
+    assert "write 5 <= row <= 9" in said
+
+
 def test_no_index_is_built_of_logs_that_have_changed(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("sessions").mkdir()
     write_log(Path("sessions/lake.mcap"), STEERING, road, cameras=["center"])

@@ -58,7 +58,6 @@ def test_what_a_kind_or_a_condition_finds_is_named_by_log(bench: Served) -> None
     }
     assert found_rows(bench, "/sessions.found?only=with+gap&text=first") == {"first": [[GAP_AT - 1, GAP_AT]]}
     assert found_rows(bench, "/sessions.found?only=with+surely+odd+rows&text=second") == {"second": [[*CRASH]]}
-    pytest.importorskip("duckdb")
     where = "/sessions.found?where=row+%3C+2+or+row+%3E+48"
     assert found_rows(bench, f"{where}&text=good") == {"good": [[0, 1], [49, 49]]}
 

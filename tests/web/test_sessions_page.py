@@ -105,32 +105,27 @@ def test_sorted_searched_and_filtered(bench: Served) -> None:
 
 
 def test_the_condition_of_bc_index_finds_rows(bench: Served) -> None:
-    duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
-    assert duckdb
     where = "steering > 0.25 and row < 20"
     wait_until(lambda: "4 logs searched" in bench.get(f"/sessions?{urlencode({'where': where})}").text)
     listed = rows(bench, where=where)
     assert list(listed) == ["stuck"]
     assert "20 rows where" in listed["stuck"]
-    for wrong in ("no_such_column > 1", "1; drop table x", "steering > (select 1 from read_csv('/etc/passwd'))"):
-        page = bench.get(f"/sessions?{urlencode({'where': wrong})}").text
-        assert 'role="alert"' in page
-    assert "root:" not in page
 
 
 @pytest.mark.parametrize(
     ("where", "problem"),
     [
-        ("(select count(*) from range(10000000000000)) > row", "takes longer than 0.2 s"),
-        ("cast(session as integer) > 1", "Conversion Error"),
+        ("no_such_column > 1", "no column no_such_column"),
+        ("1; drop table x", "expected comparisons such as speed_mph"),
+        ("len(repeat('x', 1500000000)) > 0", "expected a column, number, quoted text"),
+        ("(" * 3000, "at most 2,000 are allowed"),
+        ("<b>", "columns are session, row, camera"),
     ],
 )
-def test_a_condition_that_fails_on_a_log_does_not_hang(
-    bench: Served, monkeypatch: pytest.MonkeyPatch, where: str, problem: str
-) -> None:
-    pytest.importorskip("duckdb", reason="DuckDB is not installed: conditions were not tried")
-    monkeypatch.setattr("web.logs.where_search._MAX_S", 0.2)
-    wait_until(lambda: problem in bench.get(f"/sessions?{urlencode({'where': where})}").text)
+def test_what_is_no_condition_is_a_line_on_the_page(bench: Served, where: str, problem: str) -> None:
+    page = bench.get(f"/sessions?{urlencode({'where': where})}").text
+    assert 'role="alert"' in page
+    assert problem in page
     answer = bench.get(f"/sessions.found?{urlencode({'where': where})}")
     assert (answer.status, problem in answer.text) == (422, True)
 

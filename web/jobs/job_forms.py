@@ -158,7 +158,7 @@ INDEX_FIELDS: Final = (
     Field("per_bin", "samples a bin", hint=str(_INDEX.per_bin)),
     Field("max_uses", "most uses of a picture", hint=str(_INDEX.max_uses)),
     Field("labels", "labels", hint=_INDEX.labels, choices=("auto", "as-recorded")),
-    Field("where", "rows where", hint="all rows; SQL such as speed_mph > 5"),
+    Field("where", "rows where", hint="all rows; such as speed_mph > 5"),
     Field("validation_share", "share held out", hint=str(_INDEX.validation_share)),
     Field("validation", "sessions held out", hint="none as a whole", suggestions="sessions", is_several=True),
     Field("no_balance", "do not balance", is_switch=True),

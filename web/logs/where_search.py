@@ -1,4 +1,4 @@
-"""The search for rows that meet a condition, in the SQL of `bc-index --where`."""
+"""The search for rows that meet a condition, as by `bc-index --where`."""
 
 from __future__ import annotations
 
@@ -11,22 +11,18 @@ from typing import Final
 
 import pyarrow as pa
 
-from common import UserError
-from common.errors import printable
 from common.location import Location
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError
+from dataset.frames.frames_file import check_where
 from dataset.frames.frames_table import frames_table
 from dataset.index.sessions import name_problem
-from dataset.samples.filter import Condition
 from recorder import Log, LogError
 from recorder.log.tags import read_tags, tags_path
+from recorder.rows.condition import rows_where
 from web.folders.background import Background
 from web.folders.project_folders import ProjectFolders
 
 _MAX_SEARCHES: Final = 8  # kept
-_MAX_CHARACTERS: Final = 2000  # of a condition
-_MAX_S: Final = 10.0  # for a log: other logs wait to be read
 
 
 class WhereSearches:
@@ -46,17 +42,12 @@ class WhereSearches:
 
     def rows(self, where: str, logs: Sequence[Location], patience_s: float | None) -> dict[Location, int]:
         """The number of rows that meet the condition in each log that is searched within `patience_s`; 0 for an
-        unreadable log. Raises UserError for an invalid condition, and for one that fails on a log."""
-        if len(where) > _MAX_CHARACTERS:
-            raise UserError(f"a condition of {len(where):,} characters: at most {_MAX_CHARACTERS:,} are allowed")
+        unreadable log. Raises UsageError for an invalid condition."""
         with self._lock:
             search = self._searches.get(where)
         if search is None:
-            try:
-                Condition(where).check()
-            except UserError as error:
-                raise UserError(printable(str(error))) from None
-            search = Background[Location, int](self._pool, partial(self._count, where, []))
+            check_where(where)
+            search = Background[Location, int](self._pool, partial(self._count, where))
             with self._lock:
                 self._searches[where] = search
                 while len(self._searches) > _MAX_SEARCHES:
@@ -65,27 +56,17 @@ class WhereSearches:
         version_of, version_of_log = self._folders.version_of, self._folders.version_of_log
         versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
         results = search.results(versions, patience_s)
-        for result in results.values():
-            if isinstance(result, DatasetError):
-                raise UserError(printable(str(result)))
         return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
 
-    def _count(self, where: str, failures: list[DatasetError], path: Location, version: str) -> int:
-        """The number of rows of a log. After the condition has failed once, it fails for all logs."""
-        if failures:
-            raise failures[0]
-        try:
-            return len(self.numbers(where, path))
-        except DatasetError as error:
-            failures.append(error)
-            raise
+    def _count(self, where: str, path: Location, version: str) -> int:
+        return len(self.numbers(where, path))
 
     def numbers(self, where: str, path: Location) -> set[int]:
-        """The rows of a log that meet the condition. Raises DatasetError for a condition that is invalid or takes
-        too long, and LogError for an unreadable log, and for one whose name is not text."""
+        """The rows of a log that meet the condition. Raises UsageError for an invalid condition, and LogError
+        for an unreadable log, and for one whose name is not text."""
         if problem := name_problem(path):
             raise LogError(problem)
         self._folders.refuse_unanswered(path)
         with Log(path) as log:
             frames = frames_table(log, self._folders.local_index, IndexConfig(), read_tags(path, log.fingerprint))
-        return set(frames["row"].filter(pa.array(Condition(where, _MAX_S).holds(frames))).to_pylist())
+        return set(frames["row"].filter(pa.array(rows_where(frames, where))).to_pylist())

@@ -23,7 +23,7 @@ from recorder import Log, LogError
 from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, tags_path
-from recorder.rows.row_condition import rows_where
+from recorder.rows.condition import log_columns, rows_where
 from web.folders.project_folders import Place, is_recording, key_of, shown_name
 from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
 from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
@@ -91,7 +91,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def where(request: Request) -> Response:
         """The stretches of rows that meet a condition, as [first, last] of their positions."""
         with bench.logs.open(path_of(request)) as opened:
-            mask = rows_where(opened.states, request.query_params.get("condition", ""))
+            mask = rows_where(log_columns(opened.states), request.query_params.get("condition", ""))
         return JSONResponse(stretches(mask))
 
     def tags(request: Request) -> Response:
