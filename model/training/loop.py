@@ -33,6 +33,7 @@ from model.training.batches import make_batches
 from model.training.listeners import Listeners
 from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
+from model.training.step import least_samples
 from model.training.training_steps import TrainingSteps
 from model.training.validation import Validation
 
@@ -107,8 +108,23 @@ class TrainingLoop:
         self.averaged = AveragedWeights(self.network, config.average_steps)
         self.optimizer = Adam(self.network.parameters(), config.rate)
         weights = torch.tensor(config.target_weights, device=machine.device) if config.target_weights else None
+        height, width, channels = picture.shape
+        blank = torch.zeros(1, channels, height, width, dtype=torch.uint8, device=machine.device)
+        self.least = least_samples(self.network, blank)
+        if self.least > min(config.batch, machine.micro_batch, len(loader)):
+            raise RunError(
+                f"the batch normalisation of this network needs {self.least} samples at once:"
+                f" {counted(len(loader), 'training sample')}, --batch {config.batch}, --micro-batch"
+                f" {machine.micro_batch}"
+            )
         self.steps = TrainingSteps(
-            self.network, self.optimizer, machine, config.batch, weights, can_record=network.code is None
+            self.network,
+            self.optimizer,
+            machine,
+            config.batch,
+            weights,
+            least=self.least,
+            can_record=network.code is None,
         )
         self._saved_s = time.monotonic()
 
@@ -172,7 +188,8 @@ class TrainingLoop:
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
             batches = self.batches.epoch(start.epoch, start.batch)
             for batch, (pictures, labels) in enumerate(batches, start.batch + 1):
-                sums.add(self._train_batch(batch, pictures, labels), len(labels))
+                if len(labels) >= self.least:  # else the sample is left out of this epoch
+                    sums.add(self._train_batch(batch, pictures, labels), len(labels))
                 self.position = replace(start, batch=batch)
                 if batch % interval == 0 or batch == loader.batches:
                     loss, count = sums.take_unreported()

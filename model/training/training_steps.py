@@ -35,16 +35,18 @@ class TrainingSteps:
         batch: int,
         weights: Tensor | None,
         *,
+        least: int = 1,
         can_record: bool,
     ) -> None:
-        """`weights` are those of `training_step`. Only steps of `batch` samples are recorded, and none unless
-        `can_record`: a user's own network may wait for the GPU, which no recording may. GPUs of AMD record none:
-        they were not tried."""
+        """`weights` and `least` are those of `training_step`. Only steps of `batch` samples are recorded, and
+        none unless `can_record`: a user's own network may wait for the GPU, which no recording may. GPUs of AMD
+        record none: they were not tried."""
         self._network = network
         self._optimizer = optimizer
         self._machine = machine
         self._batch = batch
         self._weights = weights
+        self._least = least
         self._can_record = can_record and machine.device.type == "cuda" and torch.version.hip is None
         self._taken = 0
         self._recorded: Callable[[Tensor, Tensor], Tensor] | None = None
@@ -76,6 +78,7 @@ class TrainingSteps:
             micro_batch=self._machine.micro_batch,
             batch=batch,
             weights=self._weights,
+            least=self._least,
         )
 
     def _record(self, pictures: Tensor, labels: Tensor) -> Callable[[Tensor, Tensor], Tensor]:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import torch
 
-from dataset import decode
+from dataset import decode, load
 from dataset.picture_spec import ORIGINAL
 from drive.evaluation.eval_cli import main as bc_eval
 from driving import road_jpeg, untrained_run
@@ -278,3 +278,26 @@ def test_what_is_not_there_is_told_with_what_was_meant(cwd: Path) -> None:
     (cwd / "my_nets.py").write_text(PLAIN)
     with pytest.raises(RunError, match=r"did you mean my_nets\.py\?"):
         load_code("my_net.py:Net")
+
+
+# A single sample
+
+NORMALISED = body("self.two = nn.BatchNorm1d(3)", "return self.one(self.two(x.mean((2, 3))))")
+
+
+@pytest.mark.parametrize("micro_batch", [0, 2])
+def test_batch_normalisation_survives_a_last_batch_of_one(index: Path, tmp_path: Path, micro_batch: int) -> None:
+    """The sample is left out of this epoch; a last micro-batch of one joins the one before it."""
+    with load(index, batch=3) as loader:
+        samples = len(loader)
+    batch = next(batch for batch in range(3, samples) if samples % batch == 1)
+    network = f"{written(tmp_path, NORMALISED)}:Net"
+    done = train(index, tmp_path / "run", replace(ONE, network=network, batch=batch, micro_batch=micro_batch))
+    assert len((done.run / "metrics.jsonl").read_text().splitlines()) == 1
+
+
+def test_batch_normalisation_without_a_second_sample_is_one_line(index: Path, tmp_path: Path) -> None:
+    network = f"{written(tmp_path, NORMALISED)}:Net"
+    with pytest.raises(RunError, match="needs 2 samples at once"):
+        train(index, tmp_path / "run", replace(ONE, network=network, batch=1))
+    assert not (tmp_path / "run").exists()
