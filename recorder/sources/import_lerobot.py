@@ -71,6 +71,8 @@ def import_lerobot(
     notices = []
     if topics.steering is None and not chosen.is_own:
         notices.append(f"steering is the dataset's {printable(chosen.steering.label)} (--steering names another)")
+    if chosen.missing:
+        notices.append(f"no number has a name of these: {', '.join(chosen.missing)}")
     if videos:
         notices.append("decoded from videos and encoded anew: these are not the camera's original pictures")
     return replace(imported, notices=[*notices, *imported.notices])

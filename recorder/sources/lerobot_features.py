@@ -34,6 +34,11 @@ class FeatureNumber:
     label: str
     scale: float = 1.0
 
+    @property
+    def word(self) -> str:
+        """The last part of its name, in small letters, without the `.pos` that LeRobot gives to positions."""
+        return self.label.lower().removesuffix(".pos").rpartition(".")[2]
+
     def values(self, batch: pa.RecordBatch) -> NDArray[np.float64]:
         """Its values (N,), NaN if missing. Raises ArrowException if the column has another shape."""
         column = batch.column(self.feature)
@@ -58,6 +63,12 @@ class LeRobotFeatures:
     def is_own(self) -> bool:
         """True for an export of ours, which has all digits of its log."""
         return self.steering.feature == LOG_VEHICLE
+
+    @property
+    def missing(self) -> list[str]:
+        """What was not found, and what a log has instead."""
+        instead = {"throttle": "0", "brake": "0", "speed_mph": "unknown"}
+        return [f"{name} is {value}" for name, value in instead.items() if getattr(self, name) is None]
 
     @property
     def numbers(self) -> list[FeatureNumber]:
@@ -111,7 +122,7 @@ def _steering_by_name(dataset: LeRobotFolder) -> FeatureNumber:
         named = [
             number
             for number in _all_numbers(dataset)
-            if number.feature.startswith(prefix) and "steer" in number.label.rpartition(".")[2].lower()
+            if number.feature.startswith(prefix) and "steer" in number.word
         ]
         if len(named) == 1:
             return named[0]
@@ -162,15 +173,14 @@ def _pedal(dataset: LeRobotFolder, steering: FeatureNumber, words: tuple[str, ..
     """The first number of the steering's feature, or of an action, whose name contains one of the words."""
     for prefix in (f"{steering.feature}.", "action"):
         for number in _all_numbers(dataset):
-            last = number.label.rpartition(".")[2].lower()
-            if number.label.startswith(prefix) and any(word in last for word in words):
+            if number.label.startswith(prefix) and any(word in number.word for word in words):
                 return number
     return None
 
 
 def _speed(dataset: LeRobotFolder) -> FeatureNumber | None:
     for number in _all_numbers(dataset):
-        scale = _MPH.get(number.label.rpartition(".")[2].lower())
+        scale = _MPH.get(number.word)
         if scale is not None:
             return replace(number, scale=scale)
     return None

@@ -186,6 +186,32 @@ def test_of_others_names_tell_what_is_what(tmp_path: Path) -> None:
     assert "gaps in time" not in {finding.kind for finding in checked.findings}
 
 
+@pytest.mark.parametrize(
+    "names", [["speed_mps.pos", "throttle.pos", "Steering.pos"], {"steering": 2, "throttle": 1, "speed_mps": 0}]
+)
+def test_names_as_lerobot_itself_gives_them(tmp_path: Path, names: object) -> None:
+    features = {FRONT: image_feature(), "action": numbers_feature(names, 3)}
+    columns: dict[str, Sequence[Any]] = {
+        FRONT: [as_image(jpeg("center", row)) for row in range(5)],
+        "action": [[4.4704, 0.5, value] for value in STEERING],
+    }
+    done = imported(write_dataset(tmp_path / "theirs", features, columns, LENGTHS))
+    rows = content(done.path)["/vehicle"]
+    assert [row[2:5] for row in rows] == [(value, 0.5, 0.0) for value in STEERING]
+    assert [float(row[5]) for row in rows] == pytest.approx([10.0] * 5)
+    assert "no number has a name of these: brake is 0" in done.notices
+
+
+def test_what_no_name_tells_is_said(tmp_path: Path) -> None:
+    features = {FRONT: image_feature(), "action": numbers_feature(["steering", "motor_power"], 2)}
+    columns: dict[str, Sequence[Any]] = {
+        FRONT: [as_image(jpeg("center", row)) for row in range(5)],
+        "action": [[value, 0.5] for value in STEERING],
+    }
+    done = imported(write_dataset(tmp_path / "theirs", features, columns, LENGTHS))
+    assert "no number has a name of these: throttle is 0, brake is 0, speed_mph is unknown" in done.notices
+
+
 def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     features = {
         "observation.images.a": image_feature(),
