@@ -34,7 +34,7 @@ class CopyLogs:
     def run(self) -> int:
         if len(self.places) < 2:
             raise UsageError("give the logs and where to: `bc-log copy sessions/lake.mcap s3://BUCKET/sessions`")
-        logs, to = [named_log(place) for place in self.places[:-1]], self.places[-1]
+        logs, to = [named_log(place, takes_folders=True) for place in self.places[:-1]], self.places[-1]
         code = copy_logs(logs, to, overwrite=self.force)
         if code != FAILED:
             index = f" --index {shlex.quote(str(to.parent / 'index'))}" if isinstance(to, Url) else ""

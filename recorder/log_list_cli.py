@@ -15,7 +15,7 @@ from common.errors import as_user_error
 from common.location import Location, location
 from common.output import plain_table, print_result, print_table
 from recorder.log.logs_in_folder import logs_at
-from recorder.log_flag import FOLDERS, LogFlag
+from recorder.log_flag import FOLDERS, LogOrFolderFlag
 from recorder.log_report import plain, print_first, step_of_list
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ SORTED_BY: Final[dict[str, Callable[[LogInfo], Any]]] = {
 class ListLogs:
     """List sessions and drives, the newest first: time, duration, rows, driver, odd rows."""
 
-    places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")] = ()
+    places: Annotated[
+        tuple[LogOrFolderFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FOLDER|LOG ...]")
+    ] = ()
     """Logs or folders; by default sessions and drives."""
     sort: Literal["newest", "name", "rows", "duration"] = "newest"
     """Order of the list, largest first."""

@@ -79,7 +79,7 @@ class GymnasiumCar(Closeable):
         self._speed_factor, self._speed_key = _parse_speed(self.settings.speed)
         self.actions = _parse_action(self.settings.action)
         self._expert = None if flags.expert is None else load_function("--expert", flags.expert)
-        self.env = _make(self.name, self.settings.args)
+        self.env = _make(self.name, _with_tuples(self.settings.args))
         try:
             self._picture_key = _find_picture(self.name, self.env.observation_space, self.settings.picture)
             self._space = self._check_action()
@@ -205,6 +205,17 @@ class GymnasiumCar(Closeable):
             f"--gym {self.name}: speed {self.settings.speed}: no such number in its observation or info (there is:"
             f" {printable(', '.join(map(str, keys))) or 'nothing'})"
         )
+
+
+def _with_tuples(setting: Any) -> Any:
+    """A setting with a tuple for each table {tuple = [...]}: TOML has no tuples."""
+    if isinstance(setting, list):
+        return [_with_tuples(value) for value in setting]
+    if not isinstance(setting, dict):
+        return setting
+    if setting.keys() == {"tuple"} and isinstance(setting["tuple"], list):
+        return tuple(_with_tuples(setting["tuple"]))
+    return {name: _with_tuples(value) for name, value in setting.items()}
 
 
 def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:

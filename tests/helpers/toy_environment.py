@@ -45,7 +45,16 @@ class Bar(gymnasium.Env[Any, Any]):
     """A bar at `place`, -1 (left) .. 1 (right), which steering moves to its side. Its left half is red and its
     right half blue, so that nobody mistakes a mirror image, or RGB for BGR. `STEPS` are an episode."""
 
-    def __init__(self, observation: str = "dict", action: str = "box", fps: int | None = RATE_HZ) -> None:
+    def __init__(
+        self,
+        observation: str = "dict",
+        action: str = "box",
+        fps: int | None = RATE_HZ,
+        limits: tuple[float, float] = (-1.0, 1.0),
+    ) -> None:
+        if not isinstance(limits, tuple):
+            raise TypeError("limits are a tuple")
+        self._low, self._high = limits
         self.metadata = {"render_modes": [], "render_fps": fps}
         speed = spaces.Box(0.0, 100.0, (1,), np.float32)
         seen: dict[str, spaces.Space[Any]] = {
@@ -73,7 +82,7 @@ class Bar(gymnasium.Env[Any, Any]):
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         assert action in self.action_space
         self.actions.append(action)
-        self.place = min(1.0, max(-1.0, self.place + 0.1 * float(action[0])))
+        self.place = min(self._high, max(self._low, self.place + 0.1 * float(action[0])))
         return self._observe(), 1.0 - abs(self.place), False, len(self.actions) == STEPS, dict(self._info)
 
     def _observe(self) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -95,8 +96,19 @@ def test_a_folder_is_no_log_and_its_logs_can_be_listed(capsys: pytest.CaptureFix
         assert one_line_in(capsys).endswith(f"; `bc-log ls {advised}` lists the logs in it")
 
 
-def test_a_file_or_folder_of_the_name_comes_first(tmp_path: Path) -> None:
-    Path("lake").mkdir()
+def test_a_file_of_the_name_comes_first(tmp_path: Path) -> None:
+    Path("lake").write_bytes(b"")
     assert named_log(Path("lake")) == Path("lake")
     assert named_log(tmp_path / "lake") == tmp_path / "lake"
     assert named_log(Path("none")) == Path("none")
+
+
+def test_a_folder_of_the_name_hides_no_session(capsys: pytest.CaptureFixture[str]) -> None:
+    for folder in ("lake", "sessions/lake"):
+        Path(folder).mkdir()
+    assert call(bc_log, "info", "lake") == 0
+    assert call(bc_play, "lake", "--save", "lake.rrd") == 0
+    assert "sessions/lake.mcap" in capsys.readouterr().out
+    shutil.copy("sessions/lake.mcap", "lake/first.mcap")
+    assert call(bc_log, "ls", "lake") == 0  # it takes folders
+    assert "lake/first.mcap" in capsys.readouterr().out

@@ -71,6 +71,13 @@ def test_what_the_environment_does_not_tell_stays_empty() -> None:
     assert set(vehicle["throttle"]) == set(vehicle["brake"]) == {0.0}
 
 
+@pytest.mark.parametrize(("limits", "code"), [("{tuple = [0.5, 0.5]}", 0), ("[0.5, 0.5]", 1)])
+def test_a_setting_may_be_a_tuple(limits: str, code: int) -> None:
+    environment = bar(speed="2.237*speed", args=f"{{limits = {limits}}}")
+    assert call(bc_record, "bar", *environment, *CENTRE) == code
+    assert code or places("bar")[1:] == pytest.approx([0.5] * (STEPS - 1), abs=0.02)
+
+
 def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> None:
     for name, seed, episodes in (("two", 4, 2), ("first", 4, 1), ("second", 5, 1)):
         assert call(bc_record, name, *bar(), *CENTRE, "--seed", seed, "--episodes", episodes) == 0
