@@ -89,6 +89,8 @@ def _import_main(prog: str, module: str) -> Callable[[], None]:
             _fail(prog, str(error))
         if error.name.partition(".")[0] in NEEDS and (line := _owned_by_two()):
             _fail(prog, f"{error}: {line}")
+        if "failed to map segment" in str(error):  # of a library that was to be loaded
+            _fail(prog, _NO_MEMORY)
         raise
     return main
 

@@ -39,8 +39,9 @@ Config = TypeVar("Config")
 
 _VERSION_FLAG: Final = "--version prints the version."
 
-_NO_MEMORY: Final = re.compile(  # texts of PyTorch, OpenCV, C++ and Python's threads
+_NO_MEMORY: Final = re.compile(  # texts of PyTorch, OpenCV, C++, Python's threads and the loader of libraries
     r"can't allocate memory|out of memory|Insufficient memory|bad_alloc|can't start new thread"
+    r"|failed to map segment"
 )
 
 

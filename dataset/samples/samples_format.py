@@ -58,7 +58,7 @@ class Balance:
     def from_dict(cls, stored: Mapping[str, Any]) -> Balance:
         """The inverse of `as_dict`. Raises KeyError, TypeError or ValueError for an invalid dictionary."""
         before, after = (np.array(stored[name], np.int64) for name in ("before", "after"))
-        if before.ndim != 1 or before.shape != after.shape or not len(before):
+        if before.ndim != 1 or before.shape != after.shape or not len(before) or (before < 0).any():
             raise ValueError("not two counts of the same bins")
         short = {int(key): int(value) for key, value in stored["short"].items()}
         return cls(before, after, int(stored["per_bin"]), short)

@@ -31,7 +31,7 @@ from dataset.missing_index import missing_index
 from dataset.parquet_file import MAX_METADATA_BYTES, METADATA_KEY, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
 from dataset.samples.sample_rows import Rows, numbers, rows_of, target_labels, words_as_numbers
-from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA
+from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT, SAMPLES_NAME, SAMPLES_SCHEMA, Balance
 from recorder import Log, LogError
 
 Split = Literal["train", "validation"]
@@ -90,7 +90,7 @@ class Samples(Closeable):
         except (FileNotFoundError, NotADirectoryError):
             raise missing_index(index) from None
         except _UNREADABLE as error:
-            raise self._damaged(error) from None
+            raise self.damaged(error) from None
         if version not in READABLE_FORMATS:
             raise DatasetError(f"{self.path}: has format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
         if has_views:
@@ -142,7 +142,13 @@ class Samples(Closeable):
         try:
             return settings_from(IndexConfig, self.metadata["settings"])
         except (KeyError, ValueError) as error:
-            raise self._damaged(error) from None
+            raise self.damaged(error) from None
+
+    @cached_property
+    def balance(self) -> Balance:
+        """The samples in each bin. Raises DatasetError if they are damaged."""
+        with self._readable():
+            return Balance.from_dict(self.metadata["balance"])
 
     @cached_property
     def max_steering_deg(self) -> float | None:
@@ -154,7 +160,7 @@ class Samples(Closeable):
             return None
         degrees = angles_deg.pop() if len(angles_deg) == 1 else None
         if not isinstance(degrees, int | float) or not 0 < degrees < 90:
-            raise self._damaged(ValueError("its sessions have different angles at steering 1"))
+            raise self.damaged(ValueError("its sessions have different angles at steering 1"))
         return float(degrees)
 
     @property
@@ -260,9 +266,10 @@ class Samples(Closeable):
         try:
             yield
         except _UNREADABLE as error:
-            raise self._damaged(error) from None
+            raise self.damaged(error) from None
 
-    def _damaged(self, error: Exception) -> DatasetError:
+    def damaged(self, error: Exception | str) -> DatasetError:
+        """The error for a damaged file."""
         why = " ".join(str(error).split())
         return DatasetError(f"{self.path}: damaged ({why}); remove it and run `bc-index`")
 

@@ -14,7 +14,6 @@ import pyarrow.compute as pc
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import steering_in
-from dataset.samples.samples_format import Balance
 from dataset.samples.samples_reader import LOADED
 from model.evaluation.predict import predict
 from model.network.picture_network import PictureNetwork
@@ -62,11 +61,13 @@ def _at_natural_frequency(samples: Samples) -> pa.Table:
 
     Balancing leaves a random part of each bin, so each remaining original represents others of its bin.
     """
-    before = Balance.from_dict(samples.metadata["balance"]).before
+    before = samples.balance.before
     training = samples.of_split("train", _COLUMNS)
     originals = np.flatnonzero(~np.asarray(training["copy"]))
     bins = training["bin"].to_numpy()[originals]
     is_center = np.asarray(pc.equal(training["camera"].cast(pa.string()), "center"))[originals]
+    if len(bins) and not 0 <= bins.min() <= bins.max() < len(before):
+        raise samples.damaged("a bin that its balance lacks")
     bin_counts = np.bincount(bins, minlength=len(before))
     weight = (before ** (1 - TOWARDS_BALANCE) / np.maximum(bin_counts, 1))[bins]
     weight = np.where(is_center, weight, 0.0) if is_center.any() else weight

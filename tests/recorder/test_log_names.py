@@ -111,4 +111,4 @@ def test_a_folder_of_the_name_hides_no_session(capsys: pytest.CaptureFixture[str
     assert "sessions/lake.mcap" in capsys.readouterr().out
     shutil.copy("sessions/lake.mcap", "lake/first.mcap")
     assert call(bc_log, "ls", "lake") == 0  # it takes folders
-    assert "lake/first.mcap" in capsys.readouterr().out
+    assert capsys.readouterr().err == "next: `bc-play lake/first.mcap`\n"
