@@ -157,8 +157,23 @@ def _lines(log: Location) -> list[str]:
         raise LogError(f"{path}: cannot be read ({error.strerror})") from None
     if data is None:
         return []
-    whole = _bounded(path, data)[: data.rfind(b"\n") + 1]
-    return whole.decode("utf-8", "replace").splitlines()
+    return _whole_lines(_bounded(path, data)).decode("utf-8", "replace").splitlines()
+
+
+def _whole_lines(journal: bytes) -> bytes:
+    """A journal without the last line if a crash cut that off: it was never confirmed. Other programs may end the
+    last line without a line feed."""
+    end = journal.rfind(b"\n") + 1
+    try:
+        _LINE.decode(journal[end:])
+    except (ValueError, RecursionError):
+        return journal[:end]
+    return journal
+
+
+def _more(whole: bytes, lines: bytes) -> bytes:
+    """What lines add to the whole lines of a journal."""
+    return lines if whole.endswith(b"\n") or not whole else b"\n" + lines
 
 
 def _bounded(path: Location, data: bytes) -> bytes:
@@ -197,7 +212,8 @@ def _append_there(url: Url, lines: bytes) -> None:
         before = _bounded(url, journal.read(0, min(journal.size, MAX_BYTES + 1)))
     with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
         file = Path(folder) / url.name
-        file.write_bytes(_bounded(url, before[: before.rfind(b"\n") + 1] + lines))
+        whole = _whole_lines(before)
+        file.write_bytes(_bounded(url, whole + _more(whole, lines)))
         try:
             put_file(url, file, replaces)
         except ObjectChangedError:
@@ -211,8 +227,9 @@ def _append_here(path: Path, lines: bytes) -> None:
         with _locked(path) as stream:
             stream.seek(0)
             data = _bounded(path, stream.read(MAX_BYTES + 1))
-            before = data.rfind(b"\n") + 1  # a line that a crash cut off was never confirmed
-            _bounded(path, data[:before] + lines)
+            whole = _whole_lines(data)
+            lines, before = _more(whole, lines), len(whole)
+            _bounded(path, whole + lines)
             stream.truncate(before)
             try:
                 while lines:

@@ -74,11 +74,21 @@ def test_wherever_a_crash_cuts_the_last_line_the_others_stay(log: Path) -> None:
     begin = tags_path(log).stat().st_size
     add_tags(log, CONTENT, [second])
     whole = tags_path(log).read_bytes()
-    for length in range(begin, len(whole)):
+    for length in range(begin, len(whole) - 1):
         tags_path(log).write_bytes(whole[:length])
         assert read_tags(log, CONTENT) == [first]
         add_tags(log, CONTENT, [third])
         assert read_tags(log, CONTENT) == [first, third]
+
+
+def test_a_last_line_of_another_program_may_lack_its_line_feed(log: Path) -> None:
+    add_tags(log, CONTENT, [Tag(1, 2, "one"), Tag(3, 4, "exclude")])
+    whole = tags_path(log).read_bytes()
+    tags_path(log).write_bytes(whole[:-1])
+    assert read_tags(log, CONTENT) == [Tag(1, 2, "one"), Tag(3, 4, "exclude")]
+    add_tags(log, CONTENT, [Tag(5, 6, "three")])
+    assert tags_path(log).read_bytes().startswith(whole)
+    assert len(read_tags(log, CONTENT)) == 3
 
 
 DAMAGED = {
