@@ -25,6 +25,7 @@ from typing import IO, Final
 
 import numpy as np
 
+from common.allowed_places import folders_of, remember_places
 from common.location import local_path
 from dataset import Samples
 from dataset.parquet_file import write_table
@@ -88,6 +89,7 @@ def main() -> None:
     chosen = parser.parse_args()
     commands = {name: [sys.executable, "training_torch.py", *arguments] for name, arguments in OURS.items()}
     if chosen.keras_python:
+        refuse_without_keras(chosen.keras_python)
         keras = {name: [chosen.keras_python, "training_keras.py", *more] for name, more in KERAS_SETTINGS.items()}
         commands |= keras
     else:
@@ -111,6 +113,18 @@ def main() -> None:
         print_table({what: [count / s for s in contender.seconds] for what, contender in contenders.items()})
 
 
+def refuse_without_keras(python: str) -> None:
+    """End with a line if this Python does not exist, or lacks Keras."""
+    try:
+        found = (
+            subprocess.run([python, "-c", "import cv2, keras"], capture_output=True, check=False).returncode == 0
+        )
+    except OSError:
+        found = False
+    if not found:
+        raise SystemExit(f"{python}: no Python with Keras; `{Path(__file__).name} --help` says how to make one")
+
+
 def write_pictures(index: Path, folder: Path, count: int) -> int:
     """Write some training samples of `index` to `folder`: as an index, and as JPEG files with a list. Returns
     their number."""
@@ -123,6 +137,8 @@ def write_pictures(index: Path, folder: Path, count: int) -> int:
             for session, log in samples.logs.items()
         }
         write_table(folder / "index" / SAMPLES_NAME, table, {**samples.metadata, "logs": logs})
+        # else an index outside its logs' project may not refer to them
+        remember_places(folder / "index", folder, folders_of(log.path for log in samples.logs.values()))
         listed = csv.writer(stream)
         for number, row in enumerate(table.to_pylist()):
             jpeg = samples.logs[row["session"]].read(row["offset"], row["length"], row["chunk"])
