@@ -142,8 +142,10 @@ def _dataset(folder: Path, info: dict[str, Any]) -> LeRobotFolder:
 def _names(stored: object) -> tuple[str, ...] | None:
     """The names of a feature's numbers: a list, the only list in a dict, as in {"axes": ["x", "y"]}, or the keys
     of {"x": 0, "y": 1}."""
-    if isinstance(stored, dict) and sorted(map(str, stored.values())) == [str(at) for at in range(len(stored))]:
-        stored = sorted(stored, key=stored.get)
+    if isinstance(stored, dict):
+        place = {str(at): name for name, at in stored.items()}
+        if place.keys() == set(map(str, range(len(stored)))):
+            stored = [place[str(at)] for at in range(len(stored))]
     if isinstance(stored, dict) and len(stored) == 1:
         (stored,) = stored.values()
     if isinstance(stored, list) and all(isinstance(name, str) for name in stored):
