@@ -1,0 +1,1 @@
+"""Tests of the wheel as its users install it: `make test-installed`."""
