@@ -140,6 +140,12 @@ class Log(Closeable):
         return self._file.is_ours
 
     @property
+    def is_indexed(self) -> bool:
+        """True if the log's end lists its channels and chunks, and for each chunk where its messages are. All of
+        this is optional in MCAP."""
+        return self._structure.statistics is not None and all(chunk.channels for chunk in self.chunks)
+
+    @property
     def schemas(self) -> dict[str, str]:
         """The schema's name of each topic; empty without a schema."""
         names = {number: schema.name for number, schema in self._structure.schemas.items()}
@@ -198,9 +204,10 @@ class Log(Closeable):
     @property
     def time_range_ns(self) -> tuple[int, int]:
         """The lowest and the highest log time; (0, 0) without messages."""
-        if self._structure.statistics is not None:
-            statistics = self._structure.statistics
-            return statistics.message_start_time, statistics.message_end_time
+        if (statistics := self._structure.statistics) is not None:
+            first_ns, last_ns = statistics.message_start_time, statistics.message_end_time
+            if first_ns <= last_ns <= LAST_TIME_NS:  # another program may write anything
+                return first_ns, last_ns
         times = self._index.all["log_time_ns"]
         return (int(times.min()), int(times.max())) if len(times) else (0, 0)
 

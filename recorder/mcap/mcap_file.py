@@ -283,15 +283,21 @@ class McapFile(Closeable):
         return self.parsed(MetadataRecord, self._content(offset, Opcode.METADATA), "a metadata record")
 
     def attachment(self, offset: int) -> Attachment:
-        content = self._content(offset, Opcode.ATTACHMENT)
+        stream = io.BytesIO(self._content(offset, Opcode.ATTACHMENT))
+        attachment = self._parsed(Attachment, stream, "an attachment")
+        content = stream.getvalue()[: stream.tell()]  # a later version of MCAP may add fields
         if not self.may_have_crc(int.from_bytes(content[-4:], "little"), content[:-4]):
             raise self.damaged("an attachment does not match its CRC")
-        return self.parsed(Attachment, content, "an attachment")
+        return attachment
 
     def parsed(self, kind: type[Record], content: bytes, name: str) -> Record:
         """The record with this content. Raises LogError for other bytes."""
+        return self._parsed(kind, io.BytesIO(content), name)
+
+    def _parsed(self, kind: type[Record], content: io.BytesIO, name: str) -> Record:
+        """`parsed`; `content` is then at the end of what was read."""
         try:
-            record: Record = kind.read(ReadDataStream(io.BytesIO(content)))  # type: ignore[attr-defined]
+            record: Record = kind.read(ReadDataStream(content))  # type: ignore[attr-defined]
         except UNREADABLE:
             raise self.damaged(f"{name} cannot be read") from None
         return record

@@ -30,6 +30,7 @@ from recorder.mcap.mcap_file import (
     MAX_RECORD_BYTES,
     MESSAGE,
     RECORD,
+    RECORDS_AT,
     UNREADABLE,
     Chunk,
     McapFile,
@@ -41,6 +42,7 @@ GOES_ON: Final = "unfinished: its recording is still going on"
 KILLED: Final = "unfinished: its recording was killed, or it was cut off"
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
+_DATA_END_BYTES: Final = RECORD.size + 4
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
 # compared for each chunk: plain numbers are quicker
 _OP_CHUNK: Final = int(Opcode.CHUNK)
@@ -95,7 +97,7 @@ def read_structure(file: McapFile) -> Structure:
         return walk(file)
     if is_complete(structure):
         return structure
-    # other programs may write an incomplete summary, although the file is finished
+    # the summary and each of its parts are optional: the file may be finished without them
     walked = walk(file)
     return replace(walked, problem="") if walked.has_end and not walked.lost else walked
 
@@ -111,6 +113,7 @@ def is_complete(summary: Structure) -> bool:
         and len(summary.metadata_at) == statistics.metadata_count
         and len(summary.attachments_at) == statistics.attachment_count
         and (summary.chunks != [] or not statistics.message_count)
+        and (statistics.channel_message_counts != {} or not statistics.message_count)
     )
 
 
@@ -148,7 +151,8 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
 
 
 def read_summary(file: McapFile) -> Structure | None:
-    """The structure from the summary at the file's end; None if the summary is missing or damaged."""
+    """The structure from the summary at the file's end; None if the end is missing or damaged. A finished file
+    without a summary has an empty one."""
     start, summary = _summary(file)
     if not summary:
         return None
@@ -188,14 +192,19 @@ def counts_no_message(file: McapFile) -> bool:
 
 
 def _summary(file: McapFile) -> tuple[int, bytes]:
-    """The start of the summary section, and its bytes to the file's end; empty if it is missing or damaged."""
+    """The start of the summary section, and its bytes to the file's end, with the footer; empty if the end is
+    missing or damaged."""
     tail = _FOOTER.size + len(MAGIC)
-    if file.size < 2 * len(MAGIC) + _FOOTER.size:
+    if file.size < len(MAGIC) + _DATA_END_BYTES + tail:
         return 0, b""
     footer = file.read(file.size - tail, tail)
     opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
     is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
-    if not is_footer or not 0 < start <= file.size - tail or file.size - start > MAX_RECORD_BYTES:
+    if start == 0:  # no summary: the footer follows the data section
+        start = file.size - tail
+        head = file.read(start - _DATA_END_BYTES, RECORD.size)
+        is_footer &= RECORD.unpack(head) == (Opcode.DATA_END, _DATA_END_BYTES - RECORD.size)
+    if not is_footer or start > file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return 0, b""
     summary = file.read(start, file.size - start)
     return (start, summary) if file.may_have_crc(crc, summary[: len(summary) - len(MAGIC) - 4]) else (0, b"")
@@ -290,9 +299,8 @@ def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Str
     elif opcode == Opcode.MESSAGE and _is_message(file, start, end, structure):
         structure.chunks.append(Chunk(start, end, is_message=True))
     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        _add_definition(
-            file, opcode, file.read(start + RECORD.size, end - start - RECORD.size), structure, exactly=True
-        )
+        content = file.read(start + RECORD.size, end - start - RECORD.size)
+        _add_definition(file, opcode, content, structure, exactly=True)
     elif opcode == Opcode.METADATA:
         file.metadata(start)
         structure.metadata_at.append(start)
@@ -322,9 +330,13 @@ def _cost(file: McapFile, start: int, end: int) -> int:
 
 
 def _is_index(file: McapFile, start: int, end: int) -> bool:
-    """True for an index of messages; a chunk with a damaged first byte may look like one."""
+    """True for an index of messages. A chunk with a damaged first byte may look like one, but what follows its
+    list is longer than what a later version of MCAP may add."""
     length = end - start - RECORD.size
-    return length >= 6 and struct.unpack("<I", file.read(start + RECORD.size + 2, 4))[0] == length - 6
+    if length < 6:
+        return False
+    list_bytes = int.from_bytes(file.read(start + RECORD.size + 2, 4), "little")
+    return 0 <= length - 6 - list_bytes < RECORDS_AT - RECORD.size - 6
 
 
 def search_budget(file: McapFile) -> int:
@@ -345,10 +357,11 @@ def next_chunk(file: McapFile, position: int) -> int:
 def _add_definition(
     file: McapFile, opcode: int, content: bytes, structure: Structure, *, exactly: bool = False
 ) -> None:
-    """`exactly`: accept only bytes as a writer writes them. Outside chunks, no CRC protects a definition."""
+    """`exactly`: accept only bytes as a writer writes them, before those that a later version of MCAP may add.
+    Outside chunks, no CRC protects a definition."""
     kind: type[Schema | Channel] = Schema if opcode == Opcode.SCHEMA else Channel
     record = file.parsed(kind, content, "a schema or channel")
-    if exactly and _written(record) != RECORD.pack(opcode, len(content)) + content:
+    if exactly and not content.startswith(_written(record)):
         raise file.damaged("no schema or channel")
     if isinstance(record, Schema):
         structure.schemas.setdefault(record.id, record)
@@ -363,7 +376,8 @@ def add_definitions(file: McapFile, records: bytes, structure: Structure) -> Non
 
 
 def _written(record: Schema | Channel) -> bytes:
+    """The content of a record, as a writer writes it."""
     builder = RecordBuilder()
     record.write(builder)
     written: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return written
+    return written[RECORD.size :]

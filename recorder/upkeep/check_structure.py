@@ -71,6 +71,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
     places = PlacesCheck(file, structure, findings)
     counts: Counter[int] = Counter()
     expected: dict[int, list[tuple[int, int]]] = {}
+    is_indexed = True  # other programs may write no indexes
     while True:
         try:
             opcode, length = RECORD.unpack(file.read(position, RECORD.size))
@@ -79,7 +80,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             break
         if opcode != Opcode.MESSAGE_INDEX and expected:
-            findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
+            if is_indexed:
+                findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
             expected = {}
         if opcode == Opcode.DATA_END:
             if length != 4:  # no CRC covers this record's header
@@ -105,6 +107,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             else:
                 counts.update(message.channel for message in messages)
                 expected = _index_of(messages)
+                is_indexed = file.promises_crcs or listed.channels is not None
                 _, _, first_ns, last_ns, _, _ = CHUNK_HEADER.unpack_from(record)
                 times = [message.log_time_ns for message in messages] or [0]
                 if (min(times), max(times)) != (first_ns, last_ns):
@@ -116,6 +119,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             counts.update(message.channel for message in messages)
             yield record, messages
         elif opcode == Opcode.MESSAGE_INDEX and expected:
+            is_indexed = True  # then every channel is
             channel, entries = _message_index(record)
             if sorted(entries) != sorted(expected.pop(channel, [])):
                 findings.append(Finding("indexes that do not fit their chunk", f"at byte {position:,}"))

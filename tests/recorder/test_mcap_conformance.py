@@ -1,0 +1,113 @@
+"""MCAP's conformance suite: all 416 files are read as what they are, finished and undamaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+
+from mcap_conformance import DATA, INPUTS, Input, variants
+from recorder import Log
+from recorder.log_cli import main
+from recorder.upkeep.check import check
+from recorder.upkeep.recover import recover
+from udacity import call
+
+Held = tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]
+
+
+def given_in(given: Input) -> Held:
+    """Schemas, channels, messages, attachments and metadata."""
+    messages = [(1, *numbers, DATA) for numbers in given.messages]
+    attachments = [(name, "application/octet-stream", 2, 1, DATA) for name in given.attachments]
+    return given.schemas, given.channels, messages, attachments, given.metadata
+
+
+def read_from(path: Path) -> Held:
+    with Log(path) as log:
+        stored = [part for chunk in log.chunks for part in log.messages_of(chunk)]
+        attachments = [log.attachment(offset) for offset in log.attachments]
+        assert sum(log.counts.values()) == len(stored)
+        if stored:
+            times = [message.log_time for _, _, message in stored]
+            assert log.time_range_ns == (min(times), max(times))
+            assert [message.log_time_ns for message in log.messages("example")] == times
+        return in_plain_data(
+            [schema for schema, _, _ in stored if schema is not None],
+            list(log.channels.values()),
+            [message for _, _, message in stored],
+            attachments,
+            log.all_metadata(),
+        )
+
+
+def in_plain_data(
+    schemas: list[Schema],
+    channels: list[Channel],
+    messages: list[Message],
+    attachments: list[Attachment],
+    metadata: list[tuple[str, dict[str, str]]],
+) -> Held:
+    """Each schema and channel once: the summary may repeat them."""
+    by_number = {schema.id: (schema.id, schema.name, schema.encoding, schema.data) for schema in schemas}
+    topics = {
+        its.id: (its.id, its.schema_id, its.topic, its.message_encoding, dict(its.metadata)) for its in channels
+    }
+    return (
+        list(by_number.values()),
+        list(topics.values()),
+        [(its.channel_id, its.sequence, its.log_time, its.publish_time, its.data) for its in messages],
+        [(its.name, its.media_type, its.log_time, its.create_time, its.data) for its in attachments],
+        metadata,
+    )
+
+
+def read_by_mcap(path: Path) -> Held:
+    """What mcap's own reader finds."""
+    with path.open("rb") as stream:
+        records = list(StreamReader(stream, validate_crcs=True).records)
+    return in_plain_data(
+        [record for record in records if isinstance(record, Schema)],
+        [record for record in records if isinstance(record, Channel)],
+        [record for record in records if isinstance(record, Message)],
+        [record for record in records if isinstance(record, Attachment)],
+        [(record.name, record.metadata) for record in records if isinstance(record, Metadata)],
+    )
+
+
+def test_there_are_as_many_files_as_in_the_suite() -> None:
+    assert len({name for name, _, _ in variants()}) == 416
+
+
+@pytest.mark.parametrize("given", INPUTS, ids=lambda given: given.name)
+def test_every_file_is_read_as_what_it_is(given: Input, tmp_path: Path) -> None:
+    paths, complaints = list[Path](), list[object]()
+    for name, _, data in (variant for variant in variants() if variant[1] is given):
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(data)
+        paths.append(path)
+        assert read_by_mcap(path) == given_in(given)
+        with Log(path) as log:
+            verdict = (log.problem, log.lost, check(path).findings)
+        if verdict != ("", [], []) or read_from(path) != given_in(given):
+            complaints.append((name, *verdict, read_from(path)))
+    assert complaints == []
+    assert call(main, "info", *paths) == 0
+    assert call(main, "check", *paths) == 0
+
+
+@pytest.mark.parametrize("features", ["", "-pad", "-pad-st", "-ch", "-ch-mx-pad", "-ch-chx-rch-rsh-st"])
+def test_what_is_read_can_be_recovered_and_what_is_cut_off_is_still_named(features: str, tmp_path: Path) -> None:
+    [(given, data)] = [(given, data) for name, given, data in variants() if name == f"TenMessages{features}"]
+    path, cut_off = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    path.write_bytes(data)
+    assert read_by_mcap(recover(path, tmp_path / "recovered.mcap").path) == given_in(given)
+    for missing in (1, 8, 20, 40):  # of the magic bytes, of the footer, of the summary or the data section
+        cut_off.write_bytes(data[:-missing])
+        with Log(cut_off) as log:
+            assert log.problem
+        assert call(main, "check", cut_off) == 3
+    assert read_from(cut_off)[:3] == given_in(given)[:3]
