@@ -91,12 +91,15 @@ def _check_logs(paths: Sequence[Path], at_s: float | None = None) -> None:
     from viz.live.live_log import is_finished
 
     for path in dict.fromkeys(paths):
+        empty = LogError(f"{path}: an empty log; `bc-log ls` lists others")
         with McapFile(path) as file:
             if counts_no_message(file):
-                raise LogError(f"{path}: an empty log; `bc-log ls` lists others")
+                raise empty
             if file.promises_crcs:  # for an unfinished log, `has_crcs` would read the whole file
                 continue
         with Log(path) as log:
+            if not log.chunks and not log.problem:  # its end has no statistics
+                raise empty
             if not log.has_crcs:
                 print_message(f"{path}: {WITHOUT_CRCS}")
     if at_s is not None and all(map(is_finished, paths)):  # an unfinished log would be read whole

@@ -11,15 +11,20 @@ from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
+from mcap.records import McapRecord, Statistics
 
 from common import UserError
 from common.preview import has_display
 from disk import files_of_at_most
-from driving import Process, command, one_line_of, road_jpeg, run
+from driving import Process, command, one_line_in, one_line_of, road_jpeg, run
+from mcap_conformance import variants
+from mcap_patch import patched
+from plain_mcap import plain_writer
 from ports import free_ports
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import EVENTS, PICTURE_TOPICS
+from recorder.upkeep.log_info import describe
 from rrd import contents, view_names
 from udacity import call
 from viz import save_growing, save_rrd
@@ -157,7 +162,11 @@ def test_bc_play_refuses_an_empty_log_before_a_viewer_opens(
     monkeypatch.chdir(tmp_path)
     LogWriter(tmp_path / "empty.mcap", {}).close()
     assert call(main, "empty.mcap", *flags) == 1
-    assert "empty.mcap: an empty log" in capsys.readouterr().err
+    (tmp_path / "other.mcap").write_bytes(next(data for name, _, data in variants() if name == "NoData"))
+    assert call(main, "other.mcap", *flags) == 1
+    said = capsys.readouterr().err
+    assert "empty.mcap: an empty log" in said
+    assert "other.mcap: an empty log" in said
 
 
 def test_a_log_shows_what_it_has(tmp_path: Path) -> None:
@@ -174,6 +183,44 @@ def test_a_log_shows_what_it_has(tmp_path: Path) -> None:
     assert states["/steering/recorded"]["Scalars:scalars"] == [[0.5]]
     assert "left camera" in view_names(tmp_path / "pictures.rrd")
     assert not {name for name in view_names(tmp_path / "states.rrd") if "camera" in name}
+
+
+@pytest.mark.parametrize("given", ["OneMessage", "TenMessages"])
+def test_another_programs_log_is_shown_also_without_indexes(given: str, tmp_path: Path) -> None:
+    """Rerun's reader finds only what the log's end lists."""
+    path, features = tmp_path / "a.mcap", ("", "-pad", "-st", "-ch", "-ch-chx-rch-rsh-st", "-ch-chx-mx-rch-rsh-st")
+    files = {name: data for name, of, data in variants() if of.name == given}
+    messages = next(of.messages for _, of, _ in variants() if of.name == given)
+    for name in features:
+        path.write_bytes(files[given + name])
+        assert call(main, path, "--save", tmp_path / "a.rrd", "--force") == 0
+        times = contents(tmp_path / "a.rrd")["/example"]["message_log_time"]
+        assert times == sorted(time_ns for _, time_ns, _ in messages)
+
+
+def test_what_rerun_cannot_show_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with plain_writer(tmp_path / "a.mcap") as writer:
+        schema = writer.register_schema("a.State", "protobuf", b"\xff no schema")
+        writer.add_message(writer.register_channel("/a", "protobuf", schema), START_NS, b"", START_NS)
+    assert call(main, tmp_path / "a.mcap", "--save", tmp_path / "a.rrd") == 1
+    assert one_line_in(capsys).startswith(f"bc-play: {tmp_path / 'a.mcap'}: Rerun cannot show it (")
+    assert not (tmp_path / "a.rrd").exists()
+
+
+def test_statistics_of_a_time_that_cannot_be_are_not_believed(tmp_path: Path) -> None:
+    def in_the_far_future(record: McapRecord) -> None:
+        if isinstance(record, Statistics):
+            record.message_start_time = 2**64 - 10**10
+
+    with plain_writer(tmp_path / "a.mcap") as writer:
+        channel = writer.register_channel("/a", "text", 0)
+        for row in range(3):
+            writer.add_message(channel, START_NS + row * 10**9, b"", START_NS)
+    path = patched(tmp_path / "a.mcap", summary=in_the_far_future)
+    assert describe(path).duration_s == 2
+    assert call(main, path, "--save", tmp_path / "a.rrd") == 0
+    seconds = [time.total_seconds() for time in contents(tmp_path / "a.rrd")["/a"]["since start"]]
+    assert seconds == [0, 1, 2]
 
 
 def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from mcap.well_known import MessageEncoding
 from rerun.chunk import Chunk, McapReader
 
 from common import Skipped
+from common.errors import brief
 from common.location import local_path
 from common.progress import progress_bar
 from recorder import Log, LogError, LogWriter
@@ -69,26 +70,35 @@ def _chunks(
     log: Log, drawn: Collection[str], clock: Clock, skipped: Skipped, left_out: str, every: int
 ) -> Iterator[Chunk]:
     if not log.is_ours:
-        yield from on_clock(
-            McapReader(local_path(log.path), exclude_topic_regex=_exactly(drawn)).stream(), clock, left_out
-        )
+        reader = McapReader(local_path(log.path), exclude_topic_regex=_exactly(drawn))
+        yield from on_clock(_read_by_rerun(log, reader), clock, left_out)
         return
     pictures = [topic for topic, schema in protobuf_topics(log).items() if schema == COMPRESSED_IMAGE.name]
-    yield from _summary(local_path(log.path), drawn)
+    yield from _summary(log, drawn)
     yield from on_clock(_others(log, {*drawn, *pictures}), clock, left_out)
     yield from _pictures(log, pictures, clock, skipped, every)
 
 
-def _summary(path: Path, drawn: Collection[str]) -> Iterator[Chunk]:
+def _read_by_rerun(log: Log, reader: McapReader) -> Iterator[Chunk]:
+    """The chunks that Rerun's reader makes of a log or of its copy. Raises LogError if it refuses the log, perhaps
+    for an invalid schema."""
+    try:
+        yield from reader.stream()
+    except (RuntimeError, ValueError) as error:
+        raise LogError(f"{log.path}: Rerun cannot show it ({brief(str(error))})") from None
+
+
+def _summary(log: Log, drawn: Collection[str]) -> Iterator[Chunk]:
     """The chunks that Rerun's reader makes of a finished log's metadata and summary; opening the log has compared
     the summary's CRC. The time range makes Rerun skip all chunks of the log."""
-    yield from McapReader(
-        path,
+    reader = McapReader(
+        local_path(log.path),
         decoders=_OF_SUMMARY,
         exclude_topic_regex=_exactly(drawn),
         start_time_ns=LAST_TIME_NS - 1,
         end_time_ns=LAST_TIME_NS,
-    ).stream()
+    )
+    yield from _read_by_rerun(log, reader)
 
 
 def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
@@ -105,7 +115,7 @@ def _others(log: Log, left_out: Collection[str]) -> Iterator[Chunk]:
                 for schema, channel, message in log.messages_of(chunk):
                     if channel.topic in topics:
                         writer.copy(schema, channel, message, message.sequence)
-        yield from McapReader(copy, decoders=_NOT_OF_SUMMARY).stream()
+        yield from _read_by_rerun(log, McapReader(copy, decoders=_NOT_OF_SUMMARY))
 
 
 def _pictures(log: Log, topics: Collection[str], clock: Clock, skipped: Skipped, every: int) -> Iterator[Chunk]:

@@ -166,21 +166,22 @@ def prepare_log(
 
 @contextlib.contextmanager
 def open_whole_log(path: Path) -> Iterator[tuple[Log, str]]:
-    """Open the log at `path`, or a recovered copy of an unfinished log. Yields the log and its notice.
+    """Open the log at `path`, or a copy of an unfinished log or of one without indexes. Yields the log and its
+    notice.
 
-    Rerun's reader refuses a log without a sound end. Raises LogError if the log cannot be read, UserError for a
-    name that Rerun cannot open.
+    Rerun's reader refuses a log without a sound end, and finds only what is indexed. Raises LogError if the log
+    cannot be read, UserError for a name that Rerun cannot open.
     """
     if printable(str(path)) != str(path):
         raise UserError(f"{path}: Rerun opens only names in UTF-8; rename the log")
     with Log(path, shows_progress=True) as log:
-        if not log.problem:
+        if log.is_indexed:
             yield log, ""
             return
         with tempfile.TemporaryDirectory(prefix="bc-play-") as folder:
-            whole = recover(path, Path(folder) / "whole.mcap").path
-            with Log(whole) as recovered:
-                yield recovered, log.notice
+            whole = recover(path, Path(folder) / "whole.mcap")
+            with Log(whole.path) as recovered:
+                yield recovered, log.notice or "; ".join([f"{path}: {line}" for line in whole.skipped.lines()])
 
 
 def curves(log: Log) -> Iterator[tuple[Curve, Times, Values]]:
