@@ -158,9 +158,10 @@ class Log(Closeable):
 
     def read_metadata(self, name: str) -> dict[str, str]:
         """The last metadata record named `name`, or {}."""
-        return dict(self.all_metadata()).get(name, {})
+        return dict(self.all_metadata).get(name, {})
 
-    def all_metadata(self) -> list[tuple[str, dict[str, str]]]:
+    @cached_property
+    def all_metadata(self) -> Sequence[tuple[str, dict[str, str]]]:
         """Names and values of all metadata records, in the file's order."""
         return [self.metadata_record(offset) for offset in self.metadata_records]
 

@@ -123,7 +123,7 @@ def _sessions(log: Log) -> list[dict[str, str]]:
     if not _is_merged(log.metadata):
         return [log.metadata]
     of_another = f"{topics.SESSION_METADATA} of "
-    sessions = [session for name, session in log.all_metadata() if name.startswith(of_another)]
+    sessions = [session for name, session in log.all_metadata if name.startswith(of_another)]
     return [session for session in sessions if not _is_merged(session)]
 
 

@@ -121,7 +121,7 @@ def merge(paths: Sequence[Path], to: Path, *, overwrite: bool = False) -> Writte
                 Tag(tag.first_row + first, tag.last_row + first, tag.name) for tag in tags_of_rows(log_tags, rows)
             ]
             writer.add_metadata(f"{topics.SESSION_METADATA} of {log.path.name}", log.metadata)
-            copy_rest(log, log.all_metadata(), writer, skipped)
+            copy_rest(log, log.all_metadata, writer, skipped)
         close_with_tags(writer, merged_tags)
     return Written(to, count, row_count, skipped)
 
@@ -169,7 +169,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             counts[drive] += 1
         skipped = [Skipped() for _ in writers]
         for writer, left_out in zip(writers, skipped, strict=True):
-            copy_rest(log, log.all_metadata(), writer, left_out)
+            copy_rest(log, log.all_metadata, writer, left_out)
             writer.finish()
         rows = [number[drives == drive].tolist() for drive in range(len(targets))]
         publish_all(path, writers, [tags_of_rows(tags, drive_rows) for drive_rows in rows], overwrite)
@@ -254,7 +254,7 @@ def _copied(
         if not count and not same_as:
             first_ns, last_ns = log.time_range_ns
             raise LogError(f"{log.path}: no message of these times; it lasts {(last_ns - first_ns) / 1e9:.1f} s")
-        copy_rest(log, log.all_metadata(), writer, skipped)
+        copy_rest(log, log.all_metadata, writer, skipped)
         writer.same_as = same_as
         close_with_tags(writer, tags)
     return Written(to, count, row_count, skipped)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bytes_read import count_bytes, note_reads
 from common.location import Location
 from disk import files_of_at_most
 from driving import PATIENCE_S, command, environment, one_line_in, run
@@ -25,6 +26,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.check_contents import Finding
+from recorder.upkeep.log_info import describe
 from udacity import call, jpeg, picture
 
 
@@ -615,3 +617,14 @@ def test_what_is_no_log_is_told_with_the_next_command(tmp_path: Path, capsys: py
     (tmp_path / "junk.mcap").write_text("junk")
     assert call(main, "info", tmp_path / "junk.mcap") == 1
     assert "`bc-log ls`" in capsys.readouterr().err
+
+
+def test_metadata_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another program's log may have a million keys, which take seconds."""
+    path = tmp_path / "a.mcap"
+    with plain_writer(path) as writer:
+        writer.add_message(writer.register_channel("/a", "text", 0), START_NS, b"", START_NS)
+        writer.add_metadata("bc.session", {f"key {number}": "value" for number in range(100_000)})
+    read = note_reads(monkeypatch)
+    assert len(describe(path).session) == 100_000
+    assert count_bytes(read) < 1.1 * path.stat().st_size

@@ -40,7 +40,7 @@ def read_from(path: Path) -> Held:
             list(log.channels.values()),
             [message for _, _, message in stored],
             attachments,
-            log.all_metadata(),
+            log.all_metadata,
         )
 
 

@@ -268,7 +268,7 @@ def test_foxgloves_readers_agree(log: Path) -> None:
     assert {topic: tuple(schema) for topic, schema in answer["schemas"].items()} == expected.schemas
     with Log(log) as opened:
         assert answer["counts"] == opened.counts
-        metadata = [[name, values] for name, values in opened.all_metadata()]
+        metadata = [[name, values] for name, values in opened.all_metadata]
     assert answer["metadata"] == answer["streamed_metadata"] == metadata
     attachments = [[name, digest(data)] for name, data in contents(log).attachments]
     assert answer["attachments"] == answer["streamed_attachments"] == attachments
