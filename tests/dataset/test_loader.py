@@ -22,7 +22,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from torch.utils.data import DataLoader
 
 from common.car import CAMERAS, Camera
 from dataset import (
@@ -285,23 +284,25 @@ def test_a_start_beyond_the_epoch_is_refused(index: Path, start: int) -> None:
 # PyTorch's own DataLoader
 
 
-@pytest.mark.filterwarnings("ignore:This DataLoader will create 2 worker processes")  # on one processor
-@pytest.mark.parametrize("workers", [None, "fork", pytest.param("spawn", marks=pytest.mark.long)])
-def test_pytorchs_data_loader_gets_the_same_samples(index: Path, workers: str | None) -> None:
-    expected = rows_of(index)
-    dataset = SamplesDataset(index)
-    assert len(dataset) == len(expected)
-    dataset[0]  # opened here, and again by each worker
-    loader: DataLoader[Any] = DataLoader(
-        dataset,  # type: ignore[arg-type]  # no subclass of torch's Dataset, which would import torch
-        batch_size=50,
-        num_workers={None: 0, "fork": 2, "spawn": 1}[workers],
-        multiprocessing_context=workers,
-    )
-    batches = list(loader)
-    dataset.close()
-    pictures = np.concatenate([pictures.numpy() for pictures, _ in batches])
-    steering = np.concatenate([steering.numpy() for _, steering in batches])
+IN_WORKERS = """
+import numpy as np
+from torch.utils.data import DataLoader
+from dataset import SamplesDataset
+with SamplesDataset({index!r}) as samples:
+    samples[0]  # opened here, and again by each worker
+    batches = list(DataLoader(samples, 50, num_workers=2, multiprocessing_context={context!r}))
+np.savez({to!r}, *(np.concatenate([part.numpy() for part in parts]) for parts in zip(*batches)))
+"""
+
+
+@pytest.mark.parametrize("context", ["fork", pytest.param("spawn", marks=pytest.mark.long)])
+def test_pytorchs_data_loader_gets_the_same_samples(index: Path, context: str, tmp_path: Path) -> None:
+    """In a process of its own, as a user has it: a worker that is forked from one with many threads, as this one
+    is, may crash."""
+    to = tmp_path / "batches.npz"
+    done = run_code(IN_WORKERS.format(index=str(index), context=context, to=str(to)))
+    assert done.returncode == 0, done.stderr
+    expected, (pictures, steering) = rows_of(index), np.load(to).values()
     assert (str(pictures.dtype), str(steering.dtype)) == ("uint8", "float32")
     assert steering.tolist() == [np.float32(row["label"]) for row in expected]
     for picture, row in zip(pictures, expected, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from pathlib import Path
@@ -122,16 +123,15 @@ def test_it_shows_the_cameras_that_were_asked_for() -> None:
     np.testing.assert_array_equal(env.render(), simulation.picture("center")[..., ::-1])
 
 
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_many_at_once_do_what_one_does(lake: gymnasium.Env[Any, Any]) -> None:
-    """In this process and in processes of their own."""
+    """In this process and in processes of their own, which are not forked: this one has many threads."""
     actions = np.array([[0.0, 1.0], [0.5, 0.2]], np.float32)
     seen = []
-    for mode in ("sync", "async"):
-        envs = gymnasium.make_vec(LAKE, num_envs=2, vectorization_mode=mode)
-        envs.reset(seed=5)
-        seen.append(envs.step(actions))
-        envs.close()
+    for mode, options in (("sync", {}), ("async", {"context": "spawn"})):
+        envs = gymnasium.make_vec(LAKE, num_envs=2, vectorization_mode=mode, vector_kwargs=options)
+        with contextlib.closing(envs):
+            envs.reset(seed=5)
+            seen.append(envs.step(actions))
     for number in range(2):
         lake.reset(seed=5 + number)
         observation, reward, *_, info = lake.step(actions[number])
