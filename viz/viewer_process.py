@@ -32,7 +32,9 @@ _PATIENCE_S: Final = 120.0  # for a window to open on a slow and busy machine
 _GRACE_S: Final = 1.0  # then a process that ignores SIGTERM, because it is frozen, is killed
 _LAST_WORDS_S: Final = 5.0  # time limit to read the stderr of an ended viewer; its children may still hold it
 # the viewer's messages if it ends without a graphics adapter, or without a display
-_NO_GRAPHICS: Final = re.compile(rb"wgpu error|graphics adapter|surface for any enabled backend", re.IGNORECASE)
+_NO_GRAPHICS: Final = re.compile(
+    rb"wgpu error|graphics adapter|surface for any enabled backend|get render context", re.IGNORECASE
+)
 _NO_WINDOW: Final = re.compile(rb"EventLoopError")
 
 
@@ -80,16 +82,18 @@ class Viewer(subprocess.Popen[bytes]):
     def _read(self) -> None:
         leave_signals_to_main_thread()
         assert self.stderr is not None  # noqa: S101
+        is_backtrace = False
         with self.stderr as lines:
             for line in lines:
                 if _NO_GRAPHICS.search(line):
+                    is_backtrace |= b"panicked" in line  # then follows where
                     self._failure_reason = (
                         "finds no graphics driver; without a graphics card, Debian's and Ubuntu's package"
                         " mesa-vulkan-drivers draws in software (`sudo apt install mesa-vulkan-drivers`)"
                     )
                 elif _NO_WINDOW.search(line):
                     self._failure_reason = self._failure_reason or "cannot open a window on this display"
-                else:
+                elif line.strip() and not is_backtrace:
                     print_message(line.decode("utf-8", "replace").rstrip("\r\n"))
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import shlex
 import stat
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +16,14 @@ import pytest
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from driving import road_jpeg
+from common import UserError
+from driving import PATIENCE_S, road_jpeg
 from logs import STEP_NS, write_log
 from ports import free_ports
 from rrd import contents
 from udacity import call
 from viz.cli import main
-from viz.viewer_process import viewer_program
+from viz.viewer_process import LOCAL, Ports, Viewer, end_viewer, viewer_program, wait_until_it_listens
 from waiting import wait_until
 
 ROWS = 50
@@ -70,21 +74,32 @@ def test_in_a_file_the_seconds_around_a_moment_are_played_over_and_over(log: Pat
 
 
 @contextlib.contextmanager
-def headless_viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[ViewerClient]:
-    """A viewer with all but a window."""
-    monkeypatch.setenv("RUST_LOG", "error")
+def headless_viewer(folder: Path) -> Iterator[ViewerClient]:
+    """A viewer with all but a window. It has drawn once: without a graphics driver, it may answer before it
+    panics."""
     (port,) = free_ports(1)
+    url = Ports(0, port).data_address
+    line = [str(viewer_program()), "--headless", "--bind", LOCAL, "--port", str(port)]
+    viewer = Viewer(line, {**os.environ, "RUST_LOG": "error"})
     try:
-        client = ViewerClient.spawn(headless=True, port=port, executable_path=str(viewer_program()))
-        client.get_state()
-    except (OSError, RuntimeError):
-        pytest.skip("a viewer was not tried: it finds no graphics driver; Debian's mesa-vulkan-drivers has one")
-    with client:
+        wait_until_it_listens(viewer, url)
+        client = ViewerClient.connect(url)
+        client.save_screenshot(str(folder / "first.png"))
+    except (OSError, RuntimeError, UserError):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            viewer.wait(PATIENCE_S)
+        end_viewer(viewer)
+        if reason := viewer.failure_reason():
+            pytest.skip(f"a viewer was not tried: it {reason}")
+        raise
+    try:
         yield client
+    finally:
+        end_viewer(viewer)
 
 
-def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with headless_viewer(monkeypatch) as viewer:
+def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, tmp_path: Path) -> None:
+    with headless_viewer(tmp_path) as viewer:
         port = viewer.url.rpartition(":")[2].partition("/")[0]
         for flags, expected_s in ((("--at", 2.5), 2.5), ((), 0.0)):
             before = {recording.store_id for recording in viewer.get_state().recordings}
@@ -129,6 +144,10 @@ def test_a_moment_that_cannot_be_is_one_line(
     ("last_words", "says"),
     [
         ("Error: WGPU error: Failed to create surface for any enabled backend: {}", "mesa-vulkan-drivers"),
+        (
+            "thread 'main' panicked at 'Failed to get render context'\nmain.rs:1\n6: panic_fmt",
+            "mesa-vulkan-drivers",
+        ),
         ("Error: winit EventLoopError: os error: Failed to open connection to X server", "on this display"),
         ("Error: something else", "failed (exit code 1)"),
     ],
@@ -143,7 +162,7 @@ def test_a_viewer_that_cannot_draw_says_what_helps(
 ) -> None:
     """These words are Rerun's own, of a machine without graphics, and without that display."""
     stand_in = tmp_path / "rerun"
-    stand_in.write_text(f"#!/bin/sh\necho 'a note' >&2\necho '{last_words}' >&2\nexit 1\n")
+    stand_in.write_text(f"#!/bin/sh\necho 'a note' >&2\necho {shlex.quote(last_words)} >&2\nexit 1\n")
     stand_in.chmod(stand_in.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setattr("viz.viewer_process.viewer_program", lambda: stand_in)
     monkeypatch.setenv("DISPLAY", ":77")
