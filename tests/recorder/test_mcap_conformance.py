@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from mcap_conformance import DATA, INPUTS, Input, variants
-from recorder import Log
+from recorder import Log, LogError
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
@@ -40,7 +41,7 @@ def read_from(path: Path) -> Held:
             list(log.channels.values()),
             [message for _, _, message in stored],
             attachments,
-            log.all_metadata,
+            list(log.all_metadata),
         )
 
 
@@ -111,3 +112,16 @@ def test_what_is_read_can_be_recovered_and_what_is_cut_off_is_still_named(featur
             assert log.problem
         assert call(main, "check", cut_off) == 3
     assert read_from(cut_off)[:3] == given_in(given)[:3]
+
+
+@pytest.mark.parametrize("name", ["OneMessage-pad", "OneMessage-ch-mx-pad", "OneAttachment-ax-pad-st-sum"])
+def test_no_byte_of_them_can_change_unnoticed(name: str, tmp_path: Path) -> None:
+    """Longer records are accepted, but none that damage has made longer."""
+    [data] = [data for variant, _, data in variants() if variant == name]
+    path, unnoticed = tmp_path / "a.mcap", []
+    for at in range(len(data)):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :])
+        with contextlib.suppress(LogError):
+            if not check(path).findings:
+                unnoticed.append(at)
+    assert unnoticed == []
