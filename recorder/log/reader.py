@@ -33,7 +33,7 @@ from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read
 from recorder.mcap.number_fields import decode_numbers, known_values
 from recorder.mcap.picture_places import Pictures, is_about_places, read_chunk_crcs
 from recorder.mcap.salvage import salvage
-from recorder.mcap.scan import GOES_ON, read_structure
+from recorder.mcap.scan import DAMAGED, GOES_ON, read_structure
 from recorder.rows.devices import DEVICES
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
@@ -124,7 +124,7 @@ class Log(Closeable):
         if not self.problem:
             return ""
         middle = sum(end - start for start, end in self.lost if end < self.size)
-        also = f", and {middle:,} bytes before it are damaged" if middle else ""
+        also = f", and {middle:,} bytes before it are damaged" if middle and self.problem != DAMAGED else ""
         finisher = "The end of the recording" if self.problem == GOES_ON else recovery(self.path)
         state = f"{self.problem}{also}; its complete parts are read"
         return f"{self.path}: {state}. {finisher} makes a finished log of it"

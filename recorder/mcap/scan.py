@@ -40,6 +40,8 @@ from recorder.topics import QUALITY_METADATA
 
 GOES_ON: Final = "unfinished: its recording is still going on"
 KILLED: Final = "unfinished: its recording was killed, or it was cut off"
+DAMAGED: Final = "damaged"
+"""The problem of a finished log of another program that lists no chunks at its end."""
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
 _DATA_END_BYTES: Final = RECORD.size + 4
@@ -99,7 +101,7 @@ def read_structure(file: McapFile) -> Structure:
         return structure
     # the summary and each of its parts are optional: the file may be finished without them
     walked = walk(file)
-    return replace(walked, problem="") if walked.has_end and not walked.lost else walked
+    return replace(walked, problem="" if walked.has_end and not walked.lost else DAMAGED)
 
 
 def is_complete(summary: Structure) -> bool:

@@ -23,7 +23,7 @@ from recorder.mcap.picture_places import (
     read_places,
     stored_places,
 )
-from recorder.mcap.scan import Structure, read_structure
+from recorder.mcap.scan import DAMAGED, Structure, read_structure
 from recorder.upkeep.check_contents import Finding
 
 ChunkMessages = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and their messages
@@ -52,7 +52,8 @@ def is_damaged_beside_chunks(path: Path) -> bool:
 
 def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
     """The chunks of a log without a readable end, which the search has checked."""
-    findings.append(Finding("no readable end", structure.problem))
+    if structure.problem != DAMAGED:
+        findings.append(Finding("no readable end", structure.problem))
     for start, end in structure.lost:
         findings.append(Finding("unreadable bytes", f"{start:,} to {end:,}"))
     count = 0

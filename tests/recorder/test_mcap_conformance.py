@@ -125,3 +125,12 @@ def test_no_byte_of_them_can_change_unnoticed(name: str, tmp_path: Path) -> None
             if not check(path).findings:
                 unnoticed.append(at)
     assert unnoticed == []
+
+
+def test_a_damaged_chunk_is_named_and_not_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    [data] = [data for variant, _, data in variants() if variant == "OneMessage-ch"]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data.replace(DATA, b"\1\2\4"))
+    assert call(main, "info", path) == 3
+    assert f"{path}: damaged; its complete parts are read" in capsys.readouterr().err
+    assert [finding.kind for finding in check(path).findings] == ["unreadable bytes"]
