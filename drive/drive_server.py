@@ -162,7 +162,7 @@ class DriveServer:
 
     def unanswered(self, sid: str, data: object, received_s: float) -> None:
         if (session := self._session_of(sid)) is not None:
-            session.unanswered(self._server.in_flight(sid))
+            session.unanswered(data, received_s)
 
     def first_command_sent(self, sid: str) -> None:
         if (session := self._session_of(sid)) is not None:

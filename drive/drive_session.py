@@ -117,15 +117,14 @@ class DriveSession:
             replace(self._last_steer, puts_back=puts_back), lambda total_ms: self._record(decision, total_ms)
         )
 
-    def unanswered(self, in_flight: int) -> None:
-        """Note a telemetry message that is left unanswered. `in_flight` does not count it."""
+    def unanswered(self, data: object, received_s: float) -> None:
+        """Log a telemetry message that is left unanswered."""
         self._note_telemetry()
         self._unpaid = max(0, self._unpaid - 1)
         self.summary.unanswered += 1
-        self.log.event(
-            f"{counted(in_flight + 1, 'telemetry', 'telemetries')} in flight, one of them for a command that"
-            " answered none: one is left unanswered"
-        )
+        self.log.event("too many telemetries in flight: one is left unanswered")
+        if data is not None:
+            self.log.decision(self._driver.read(data), (time.perf_counter() - received_s) * 1e3)
 
     def first_command_sent(self) -> None:
         """Note a command that was sent before the first telemetry."""
@@ -229,7 +228,7 @@ class DriveSession:
     @property
     def is_empty(self) -> bool:
         """True if no telemetry has come."""
-        return self.summary.telemetries == 0
+        return self.summary.telemetries == self.summary.unanswered == 0
 
     def _note_telemetry(self) -> None:
         self._last_telemetry_s, self._was_pushed = self._clock.tick(), False

@@ -22,7 +22,7 @@ from model.pilot import NetworkAnswer
 from recorder.log.session_car import UDACITY
 from recorder.rows.devices import Device
 from recorder.server.locale_numbers import POINT
-from recorder.server.telemetry import Telemetry, TelemetryError, parse_telemetry
+from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.world import World, WorldNotices
 
 USUAL_SIZE: Final = (160, 320)  # height, width
@@ -42,7 +42,8 @@ class Decision:
     """The answer to one telemetry message, and its origin.
 
     If the message could not be used, `telemetry` and `crop` are None, and `problem` is the reason. If the network
-    gave no number, there is a `problem`, too, but `telemetry` and `crop` are given.
+    gave no number, there is a `problem`, too, but `telemetry` and `crop` are given. If the message is left
+    unanswered, there is a `telemetry`, but no `crop`.
     """
 
     steering: float  # -1..1, as sent
@@ -65,6 +66,7 @@ class Decision:
     kind: str = ""  # of the problem: equal for problems that differ only in their values
     events: tuple[str, ...] = ()  # that happened with this message
     in_flight: int = 1  # messages, including this one
+    is_answered: bool = True
 
 
 class Driver:
@@ -107,9 +109,7 @@ class Driver:
         """
         now_s = time.monotonic() if now_s is None else now_s
         try:
-            telemetry = (
-                data if isinstance(data, Telemetry) else parse_telemetry(data, self._decimal_separator, self._car)
-            )
+            telemetry = self._parsed(data)
         except TelemetryError as error:
             parsed_s = time.perf_counter()
             world, problems, speed_mph = error.world, error.world_problems, error.speed_mph
@@ -120,7 +120,7 @@ class Driver:
             parsed_s = time.perf_counter()
             world, problems = telemetry.world, telemetry.world_problems
             speed_mph = telemetry.speed_mph if math.isfinite(telemetry.speed_mph) else None
-            self._note(speed_mph, telemetry.observed_separator)
+            self._note(telemetry.speed_mph, telemetry.observed_separator)
             time_s = self._clock.advance(now_s, world)
             decision = self._answer_by_network(telemetry, parsed_s, time_s)
         if events := self._world_events(world, problems):
@@ -133,6 +133,17 @@ class Driver:
         self._steering = decision.steering
         return replace(decision, speed_mph=speed_mph, parse_ms=(parsed_s - received_s) * 1e3)
 
+    def read(self, data: object) -> Decision:
+        """A telemetry message that is left unanswered, for the log: as `decide`, but without a command."""
+        try:
+            telemetry = self._parsed(data)
+            self._note(telemetry.speed_mph, telemetry.observed_separator)
+            size = check_whole_picture(telemetry.picture)
+        except TelemetryError as error:
+            self._note(error.speed_mph, error.decimal_separator)
+            return Decision(0.0, 0.0, problem=str(error), kind=error.kind, is_answered=False)
+        return Decision(0.0, 0.0, telemetry=telemetry, picture_size=size, is_answered=False)
+
     def stop(self) -> None:
         """Brake the car to a stand from now on, with the steering as before."""
         self._last_brake = EmergencyBrake()
@@ -144,8 +155,13 @@ class Driver:
             return self._steering, 0.0
         return self._steering, self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
 
+    def _parsed(self, data: object) -> Telemetry:
+        if isinstance(data, Telemetry):
+            return data
+        return parse_telemetry(data, self._decimal_separator, self._car)
+
     def _note(self, speed_mph: float | None, decimal_separator: str | None) -> None:
-        if speed_mph is not None:
+        if speed_mph is not None and math.isfinite(speed_mph):
             self._speed_mph = speed_mph
         if decimal_separator is not None:
             self._decimal_separator = decimal_separator

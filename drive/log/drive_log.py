@@ -167,6 +167,8 @@ class DriveLog(Closeable):
             picture_size=decision.picture_size,
             crop=crop,
         )
+        if not decision.is_answered:
+            return
         command = PilotCommand(
             predicted_steering=decision.predicted_steering,
             steering=decision.steering,

@@ -47,8 +47,7 @@ class DriveSummary:
         self.pushes = 0
         """Commands that answered no message, because the simulator was silent. `DriveSession` counts them."""
         self.unanswered = 0
-        """Messages left unanswered, because these commands had raised the number in flight. `DriveSession` counts
-        them."""
+        """Messages left unanswered, because too many were in flight. `DriveSession` counts them."""
         self.dropped_pictures = 0
         """Pictures that are not in the log, from `DriveLog`. `DriveSession` sets it at the end."""
         self.dropped_rows = 0

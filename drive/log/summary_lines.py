@@ -37,10 +37,10 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}{_in_flight(summary)}")
     if summary.pushes:
         times = counted(summary.pushes, "command")
+        lines.append(f"the simulator was silent for more than a second: {times} answered no telemetry")
+    if summary.unanswered:
         left = counted(summary.unanswered, "telemetry", "telemetries")
-        lines.append(
-            f"the simulator was silent for more than a second: {times} answered no telemetry, {left} got no answer"
-        )
+        lines.append(f"too many telemetries were in flight: {left} got no answer")
     if summary.bad:
         lines.append(_unusable(summary.bad, "telemetry", "telemetries"))
     if summary.side_problems:

@@ -4,6 +4,10 @@ A simulator sends one telemetry for each command. A command that answers no tele
 every later answer comes one telemetry later. After this command, the next telemetry is held. If another one comes,
 at least two were in flight, and the held one is left unanswered. If none comes, the held one is answered, so that
 the simulator does not wait for ever.
+
+The protocol begins with two telemetries in flight. More than two that are unanswered at once, whatever their cause,
+are treated like those of such commands: a simulator that stood still while its server restarted sends one for each
+command of both servers.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ INTERVALS: Final = 8  # a telemetry is held for twice the longest of the last in
 MAX_HOLDS: Final = 2  # after this many holds without another telemetry, nothing else is in flight
 RETRY_S: Final = 1.0  # between two holds
 RECENT: Final = 250  # telemetries that determine the number in flight
+MAX_IN_FLIGHT: Final = 2  # Udacity's simulator begins with them
 T = TypeVar("T")
 
 
@@ -46,7 +51,7 @@ class InFlight(Generic[T]):
     """Counts telemetries and commands. All times are a `RunningClock`'s."""
 
     def __init__(self) -> None:
-        self.owed = 0  # commands that answered no telemetry; each may keep one more in flight
+        self.owed = 0  # telemetries in flight that are too many
         self._held: T | None = None
         self._held_s = 0.0
         self._holds = 0  # without another telemetry, since the last command that answered none
@@ -69,9 +74,12 @@ class InFlight(Generic[T]):
         """Note a command that answers no telemetry."""
         self.owed, self._holds, self._hold_from_s = self.owed + 1, 0, now_s
 
-    def note(self, unanswered: int) -> None:
-        """Note the number of telemetries that are unanswered now."""
-        self._unasked.append(unanswered - self.owed)
+    def answered(self, waiting: int) -> None:
+        """Note an answer that left while `waiting` more telemetries had come: they do not answer it."""
+        unanswered = 1 + waiting
+        if unanswered - self.owed > MAX_IN_FLIGHT:
+            self.owed, self._holds = unanswered - MAX_IN_FLIGHT, 0
+        self._note(unanswered)
 
     def take(self, telemetry: T, waiting: int, now_s: float) -> tuple[list[T], T | None]:
         """Take a telemetry; returns those to leave unanswered, and the one to answer now.
@@ -82,7 +90,7 @@ class InFlight(Generic[T]):
             self._intervals.append(now_s - self._last_s)
         self._last_s = now_s
         held, self._held = self._held, None
-        self.note(1 + waiting + (held is not None))
+        self._note(1 + waiting + (held is not None))
         unanswered = [] if held is None else [held]
         self.owed -= len(unanswered)
         if self.owed and waiting:
@@ -92,6 +100,11 @@ class InFlight(Generic[T]):
             self._held, self._held_s = telemetry, now_s
             return unanswered, None
         return unanswered, telemetry
+
+    def release(self) -> T | None:
+        """The held telemetry, which is not answered any more."""
+        held, self._held = self._held, None
+        return held
 
     def overdue(self, now_s: float, *, has_unread: bool) -> T | None:
         """The held telemetry, if it has to be answered now. With `has_unread`, unread data has come, and the
@@ -105,6 +118,9 @@ class InFlight(Generic[T]):
             self.owed = 0
             self._unasked.clear()
         return held
+
+    def _note(self, unanswered: int) -> None:
+        self._unasked.append(min(unanswered - self.owed, MAX_IN_FLIGHT))
 
     @property
     def _hold_s(self) -> float:

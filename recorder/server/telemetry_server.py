@@ -81,8 +81,8 @@ class TelemetryHandler(Protocol):
         ...
 
     def unanswered(self, sid: str, data: object, received_s: float) -> None:
-        """Called with a telemetry that is left unanswered, because an earlier command answered none
-        (`recorder.server.in_flight`). Its last byte arrived at `received_s`."""
+        """Called with a telemetry that is left unanswered, because too many are in flight
+        (`recorder.server.in_flight`), or because its client has gone. Its last byte arrived at `received_s`."""
         ...
 
     def first_command_sent(self, sid: str) -> None:
@@ -164,6 +164,8 @@ class TelemetryServer:
                 self._call(self._handler.tick)
                 self._tick_connections()
         finally:
+            for connection in list(self._engine.sockets.values()):
+                self._release_held(connection)
             self._is_over = True
             until_s = time.monotonic() + END_S  # other green threads still send: the car keeps the last command
             while self._unsent_answers and time.monotonic() < until_s:
@@ -248,6 +250,7 @@ class TelemetryServer:
     def _on_disconnect(self, sid: str, reason: str) -> None:
         self._steered.discard(sid)
         if not self._is_over:
+            self._release_held(self._engine.sockets[self._server.manager.eio_sid_from_sid(sid, "/")])
             self._call(self._handler.disconnected, sid, reason)
 
     def _on_telemetry(self, sid: str, data: object = None, *_: object) -> None:
@@ -275,7 +278,7 @@ class TelemetryServer:
                 self._server.emit(name, fields, to=received.sid)
         total_ms = (time.perf_counter() - received.received_s) * 1e3
         self._unsent_answers -= 1
-        connection.in_flight.note(1 + waiting)
+        connection.in_flight.answered(waiting)
         self._call(answer.on_sent, total_ms)
 
     def _answer(self, received: Received, taken_s: float) -> Answer | None:
@@ -291,6 +294,11 @@ class TelemetryServer:
         if received is not None and (answer := self._answer(received, time.perf_counter())) is not None:
             self._server.emit(*_event(answer.command), to=received.sid)
             self._call(answer.on_sent, (time.perf_counter() - received.received_s) * 1e3)
+
+    def _release_held(self, connection: Connection) -> None:
+        """Give the handler the held telemetry of a client that will get no answer."""
+        if (received := connection.in_flight.release()) is not None:
+            self._call(self._handler.unanswered, *received)
 
     def _tick_connections(self) -> None:
         for engine_sid, connection in list(self._engine.sockets.items()):

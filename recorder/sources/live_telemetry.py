@@ -143,7 +143,7 @@ class _Session:
     def unanswered(self, sid: str, data: object, received_s: float) -> None:
         received_ns = round(received_s * 1e9)
         self._last_s = time.monotonic()
-        self._event(received_ns, "one telemetry more in flight than before a silence: one is left unanswered")
+        self._event(received_ns, "too many telemetries in flight: one is left unanswered")
         device, brake = (None, 0.0) if self._person is None else (self._person.control.device, self._person.brake)
         is_taken = self._person is None or self._person.takes_row()
         self._note(sid, received_ns, self._parsed(sid, data), device, brake, is_taken=is_taken)

@@ -453,23 +453,21 @@ def test_who_says_nothing_at_all_costs_a_line(monkeypatch: pytest.MonkeyPatch) -
 
 
 def ask(serving: Serving, count: int, seed: int) -> None:
-    """Tell `count` malformed telemetries and a good one after every ninth; every one gets one command."""
+    """Tell `count` malformed telemetries and a good one after each; every one gets one command."""
     chance = random.Random(seed)
-    client = RawClient(serving.port)
-    for good, start in enumerate(range(0, count, 9)):
-        messages = [malformed(chance) for _ in range(min(9, count - start))]
-        for data in messages:
-            if chance.random() < 0.1:  # as a client sends that has bytes in its telemetry
-                client.websocket.send('451-["telemetry",' + data + ',{"_placeholder":true,"num":0}]')
-                client.websocket.send_binary(b"\xff\xd8\xff")
-            else:
-                client.websocket.send('42["telemetry",' + data + "]")
-        client.tell(fields(good))
-        for data in messages:
-            name, command = client.command()
-            assert name == ("manual" if data == "null" else "steer"), data[:80]
-            assert set(command) <= {"steering_angle", "throttle"}
-        assert client.command() == steered(Steer(-steering(good), 0.5))
+    client = RawClient(serving.port, "40")
+    for number in range(count):
+        data = malformed(chance)
+        if chance.random() < 0.1:  # as a client sends that has bytes in its telemetry
+            client.websocket.send('451-["telemetry",' + data + ',{"_placeholder":true,"num":0}]')
+            client.websocket.send_binary(b"\xff\xd8\xff")
+        else:
+            client.websocket.send('42["telemetry",' + data + "]")
+        client.tell(fields(number))
+        name, command = client.command()
+        assert name == ("manual" if data == "null" else "steer"), data[:80]
+        assert set(command) <= {"steering_angle", "throttle"}
+        assert client.command() == steered(Steer(-steering(number), 0.5))
     client.close()
 
 
