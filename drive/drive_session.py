@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final, Self
 
@@ -140,8 +140,12 @@ class DriveSession:
         self._unpaid += 1
         self.summary.pushes += 1
         self.log.event("no telemetry for a second: sent a steer, to make the simulator go on", is_problem=True)
-        # A simulator that stays silent keeps this command for ever, and a brake would finally reverse the car.
-        return replace(self._last_steer, throttle=max(0.0, self._last_steer.throttle))
+        steering, throttle, events = self._driver.go_on_without_telemetry()
+        for text in events:
+            self.log.event(text)
+        self._tell(events, is_problem=False)
+        self._last_steer = replace(self._last_steer, steering=steering, throttle=throttle)
+        return self._last_steer
 
     def brake_steer(self) -> Steer | None:
         """The brake, or its release, for a simulator that is stopping and silent; None if none is due."""
@@ -266,9 +270,13 @@ class DriveSession:
             if not self.summary.side_problems[problem]:
                 self._notify(f"a picture that cannot be used: {problem}")
         self.summary.decision(decision, total_ms)
-        for text in decision.events:  # they explain why the car brakes, or who drives
-            self._notify(text)
         if self._at_wheel is not None:
             self._at_wheel.show(decision, self.log.frames - 1)
-            for text in decision.events:
-                self._at_wheel.event(text, is_problem=bool(decision.problem))
+        self._tell(decision.events, is_problem=bool(decision.problem))
+
+    def _tell(self, events: Iterable[str], *, is_problem: bool) -> None:
+        """Print events: they explain why the car brakes, or who drives. The page shows them, too."""
+        for text in events:
+            self._notify(text)
+            if self._at_wheel is not None:
+                self._at_wheel.event(text, is_problem=is_problem)

@@ -92,6 +92,7 @@ class Driver:
         self._person = person
         self._course = CourseEvents()
         self._steering = 0.0
+        self._network = 0.0, 0.0  # the last steering and throttle without the person's
         self._speed_mph: float | None = None  # the last known speed
         self._decimal_separator: str | None = None  # the last known separator
         self._unusable_since_s: float | None = None
@@ -125,6 +126,7 @@ class Driver:
             decision = self._answer_by_network(telemetry, parsed_s, time_s)
         if events := self._world_events(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
+        self._network = decision.steering, decision.throttle
         if self._person is not None:  # last, so that the newest controls count
             decision = self._with_person(decision, self._person, time_s)
         if self._last_brake is not None:
@@ -147,6 +149,17 @@ class Driver:
     def stop(self) -> None:
         """Brake the car to a stand from now on, with the steering as before."""
         self._last_brake = EmergencyBrake()
+
+    def go_on_without_telemetry(self) -> tuple[float, float, list[str]]:
+        """Steering and throttle while no telemetry comes, and events: the newest command of a person who is at the
+        wheel, else the network's last one. They never brake: a simulator that stays silent keeps a command for
+        ever, and a brake would finally reverse its car."""
+        events = [] if self._person is None else self._person.update(is_braked=False)
+        if self._person is not None and self._person.person_drives:
+            self._steering, throttle = self._person.command(self._speed_mph)
+        else:
+            self._steering, throttle = self._network
+        return self._steering, max(0.0, throttle), events
 
     def brake_without_telemetry(self) -> tuple[float, float]:
         """Steering and throttle after `stop`, while no telemetry comes: full brake, then throttle 0."""
@@ -224,7 +237,8 @@ class Driver:
 
     def _with_person(self, decision: Decision, person: PersonTakeover, time_s: float) -> Decision:
         """The decision, replaced by the command of the person at the wheel while the person drives."""
-        events = (*decision.events, *person.update())
+        is_braked = self._last_brake is not None or decision.driver == "brake"
+        events = (*decision.events, *person.update(is_braked=is_braked))
         if not person.person_drives:
             return replace(decision, events=events)
         steering, throttle = person.command(self._speed_mph)

@@ -38,6 +38,7 @@ MISSING_S: Final = 1.0
 PILOT_DRIVES: Final = "the pilot drives again"
 TAKES_OVER: Final = "a person takes over"
 NOBODY: Final = "nobody is at the wheel: the network drives on"
+NOBODY_BRAKED: Final = "nobody is at the wheel: the car is braked"
 _LONGEST_GAP_S: Final = 0.5  # between two messages that give a sideways speed
 
 
@@ -119,8 +120,9 @@ class PersonTakeover:
         """The person's steering device; None while the network drives."""
         return self.control.device if self.person_drives else None
 
-    def update(self) -> list[str]:
-        """Choose the driver by the newest controls. Returns the events."""
+    def update(self, *, is_braked: bool) -> list[str]:
+        """Choose the driver by the newest controls. Returns the events. `is_braked`: the network does not drive the
+        car, but brakes it."""
         self.control = self._wheel.control()
         if not self.person_drives:
             if not self.control.is_touching:
@@ -129,7 +131,7 @@ class PersonTakeover:
             return [TAKES_OVER]
         if self.control.is_absent:
             self.person_drives = False
-            return [NOBODY]
+            return [NOBODY_BRAKED if is_braked else NOBODY]
         return []
 
     def hand_back(self) -> list[str]:

@@ -16,10 +16,11 @@ from common import UserError
 from disk import files_of_at_most
 from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
-from drive.control.takeover import PILOT_DRIVES
+from drive.control.takeover import NOBODY, NOBODY_BRAKED, PILOT_DRIVES
 from drive.drive_flags import with_default_driver
 from drive.drive_server import DriveServer
 from driving import road_jpeg, untrained_run
+from logs import read_messages
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
@@ -128,6 +129,51 @@ def test_a_person_who_goes_leaves_the_wheel_to_the_network(supervised: Supervise
     assert supervised.drive().steering == PERSON
     supervised.page.socket.close()
     wait_until(lambda: supervised.drive().steering == networks)
+
+
+def test_a_silent_simulator_gets_the_newest_command_of_a_person_who_is_there(
+    supervised: Supervised, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drive.drive_session.WATCHDOG_S", 0.0)
+    supervised.steer(1.0, 1.0)
+    supervised.drive()
+    supervised.steer(-0.25, 0.5)
+    assert supervised.server.session.watchdog_steer() == Steer(-0.25, 0.5)
+    supervised.drive()
+    supervised.steer(-0.25, -1.0)  # a brake that is kept for ever would reverse the car
+    assert supervised.server.session.watchdog_steer() == Steer(-0.25, 0.0)
+
+
+def test_a_silent_simulator_gets_nothing_of_a_person_who_has_gone(
+    supervised: Supervised, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else its car would keep full lock and full throttle for ever."""
+    monkeypatch.setattr("drive.drive_session.WATCHDOG_S", 0.0)
+    networks = supervised.drive()
+    supervised.steer(1.0, 1.0)
+    assert supervised.drive().steering == 1.0
+    supervised.page.socket.close()
+    wait_until(lambda: supervised.wheel.control().is_absent)
+    pushed = supervised.server.session.watchdog_steer()
+    assert pushed is not None
+    assert (pushed.steering, pushed.throttle) == (networks.steering, pytest.approx(networks.throttle, abs=0.01))
+    with supervised.server:
+        pass  # finishes the log
+    assert NOBODY in [event.message for _, event in read_messages(supervised.log)["/events"]]
+
+
+def test_a_person_who_goes_while_the_car_is_braked_leaves_it_to_the_brake(supervised: Supervised) -> None:
+    supervised.steer()
+    supervised.drive()
+    supervised.server.stop()
+    supervised.page.socket.close()
+    wait_until(lambda: supervised.wheel.control().is_absent)
+    assert supervised.drive().throttle == -1.0
+    with supervised.server:
+        pass  # finishes the log
+    events = [event.message for _, event in read_messages(supervised.log)["/events"]]
+    assert NOBODY_BRAKED in events
+    assert NOBODY not in events
 
 
 def test_the_brake_comes_before_the_speed_that_is_held(supervised: Supervised) -> None:
