@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -22,6 +20,7 @@ from model import Pilot
 from recorder import LogWriter
 from recorder.log.session_car import BUILT_IN
 from recorder.log.session_car import metadata_of as car_metadata
+from recorder.log.writer import log_beside
 from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 
 NO_TELEMETRY_S: Final = 3.0
@@ -237,7 +236,8 @@ class DriveServer:
     def _session_for(self, sid: str) -> DriveSession:
         """The session for a client that sends its first telemetry since its connection."""
         free = [session for session in self.sessions if not session.is_connected]
-        session = free[0] if free else self._open_session(self._free_name(), overwrite=False)
+        taken = {session.writer.path for session in self.sessions}
+        session = free[0] if free else self._open_session(log_beside(self._log, taken), overwrite=False)
         self._driven[sid] = session
         session.connected()
         if session.connections <= MAX_CONNECTION_NOTICES:
@@ -255,12 +255,6 @@ class DriveServer:
                 " close one of them if you did not want that"
             )
         return session
-
-    def _free_name(self) -> Path:
-        """A free path next to the log: run-2.mcap for run.mcap."""
-        names = (self._log.with_stem(f"{self._log.stem}-{number}") for number in itertools.count(2))
-        taken = {session.writer.path for session in self.sessions}
-        return next(name for name in names if name not in taken and not os.path.lexists(name))
 
     def _open_session(self, path: Path, overwrite: bool) -> DriveSession:
         """A session with a log that is flushed twice a second, so that a kill loses at most half a second."""

@@ -10,13 +10,13 @@ from typing import Final, Self
 from common.errors import counted
 from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
-from drive.control.braking import WALKING_MPH
 from drive.control.driver import Decision, Driver
 from drive.log.drive_log import DriveLog
 from drive.log.drive_summary import DriveSummary
 from drive.log.summary_lines import LiveStatus
 from model import Pilot
 from recorder import LogWriter
+from recorder.server.braking import WALKING_MPH
 from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
 from recorder.topics import DRIVE_METADATA

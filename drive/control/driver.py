@@ -10,7 +10,6 @@ from typing import Final, Literal
 
 from dataset.preprocessing import Image
 from drive.config import DriveConfig
-from drive.control.braking import WALKING_MPH, EmergencyBrake
 from drive.control.course_events import CourseEvents
 from drive.control.drive_clock import DriveClock
 from drive.control.speed_controller import SpeedController
@@ -21,6 +20,7 @@ from model import Pilot
 from model.pilot import NetworkAnswer
 from recorder.log.session_car import UDACITY
 from recorder.rows.devices import Device
+from recorder.server.braking import WALKING_MPH, EmergencyBrake
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.world import World, WorldNotices

@@ -121,8 +121,8 @@ class PersonTakeover:
         return self.control.device if self.person_drives else None
 
     def update(self, *, is_braked: bool) -> list[str]:
-        """Choose the driver by the newest controls. Returns the events. `is_braked`: the network does not drive the
-        car, but brakes it."""
+        """Choose the driver by the newest controls. Returns the events. `is_braked`: the car is braked, and
+        the network does not drive it either."""
         self.control = self._wheel.control()
         if not self.person_drives:
             if not self.control.is_touching:

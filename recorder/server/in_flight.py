@@ -5,7 +5,7 @@ every later answer comes one telemetry later. After this command, the next telem
 at least two were in flight, and the held one is left unanswered. If none comes, the held one is answered, so that
 the simulator does not wait for ever.
 
-The protocol begins with two telemetries in flight. If more than two are unanswered at once, those beyond two are left
+The protocol begins with two telemetries in flight. If more are unanswered at once, those beyond two are left
 unanswered like those of such commands: a simulator that stood still while its server restarted sends one for each
 command of both servers.
 """

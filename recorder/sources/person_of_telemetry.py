@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from recorder.errors import RecordingError
+from recorder.server.braking import EmergencyBrake
+from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry import Telemetry
 from recorder.server.telemetry_server import Steer
 from recorder.sources.imported_rows import Imported
@@ -22,6 +24,7 @@ from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Wheel
 
 MAX_BRAKING_S: Final = 5.0  # at the end, a car that does not stop in this time is left alone
+SILENT_S: Final = 0.2  # a simulator that is silent for longer is sent the brake at the end
 
 
 class PersonOfTelemetry:
@@ -36,6 +39,9 @@ class PersonOfTelemetry:
         self._rates = RateMeter()
         self._first_ns = self._last_ns = 0
         self._braking_since_s: float | None = None
+        self._brake = EmergencyBrake()  # of a silent simulator
+        self._clock = RunningClock()
+        self._last_s = 0.0  # of a telemetry, by this clock
         self.recording = Recording(wheel)
         self.hold_mph = hold_mph  # the speed that was held last, or is offered
         self.rows = 0
@@ -49,7 +55,8 @@ class PersonOfTelemetry:
 
     def command(self, telemetry: Telemetry | None, speed_mph: float, separator: str) -> Steer:
         """The answer to a telemetry (None: an unusable one). Also shows it, with the controls in force before."""
-        self._speed_mph = speed_mph
+        self._speed_mph, self._last_s = speed_mph, self._clock.tick()
+        self._brake.release()
         if telemetry is not None:
             self._show(telemetry)
         self.control = self._wheel.control()
@@ -62,12 +69,29 @@ class PersonOfTelemetry:
         return self._sent
 
     def is_at_rest(self) -> bool:
-        """Brake the car at the end of the drive; True if it stands, or has not stopped in `MAX_BRAKING_S`."""
+        """Brake the car at the end of the drive; True if it stands, has not stopped in `MAX_BRAKING_S`, or if its
+        simulator is silent and the brake has ended."""
         now_s = time.monotonic()
         if self._braking_since_s is None:
             self._braking_since_s = now_s
         is_slow = not self._speed_mph > MAX_STANDING_MPH  # also NaN: unknown, or nothing has connected
-        return is_slow or now_s - self._braking_since_s > MAX_BRAKING_S
+        has_ended = self._brake.is_on and self._sent.throttle == 0.0
+        return is_slow or has_ended or now_s - self._braking_since_s > MAX_BRAKING_S
+
+    def brake_if_silent(self, separator: str) -> Steer | None:
+        """The brake, or its release, for a simulator that is silent at the end of the drive; None: none is due."""
+        now_s = self._clock.tick()
+        if self._braking_since_s is None or now_s - self._last_s < SILENT_S or math.isnan(self._speed_mph):
+            return None
+        throttle = self._brake.throttle(now_s, self._speed_mph)
+        if throttle == self._sent.throttle:
+            return None
+        self._sent = Steer(0.0, throttle, separator)
+        return self._sent
+
+    def note_silence(self, *, is_connected: bool) -> None:
+        """Let the page show that the simulator is silent, or has gone."""
+        self._wheel.note_silence(self._clock.tick() - self._last_s, is_connected=is_connected)
 
     def takes_row(self) -> bool:
         """True if the current telemetry is to be recorded."""

@@ -46,6 +46,7 @@ MAX_REFUSED: Final = 100  # a page that sends more invalid messages is disconnec
 MAX_IN_FLIGHT: Final = 2
 """Frames sent to a page and not shown yet: the page paints one while the next one travels."""
 _MAX_TEXTS: Final = 256  # waiting for a page; the oldest are dropped
+STALLED_S: Final = 1.0  # after this silence of the simulator, pages say so
 _END_S: Final = 2.0  # the longest wait for the last messages
 
 RequestKind = Literal["record", "pause", "bad", "hand_back", "put_back", "end"]
@@ -91,6 +92,8 @@ class Wheel:
         self._pages: list[_Page] = []
         self._requests: deque[Request] = deque(maxlen=64)
         self._frame: _Frame | None = None
+        self._shown: tuple[Mapping[str, object], bytes] | None = None  # what it is made of
+        self._stalled = ""  # the reason on it
         self._is_over = False
 
     @property
@@ -120,10 +123,18 @@ class Wheel:
     def show(self, state: Mapping[str, object], jpeg: bytes) -> None:
         """Show a frame on all pages. It replaces an earlier frame that was not sent yet."""
         with self._changed:
-            number = 1 if self._frame is None else self._frame.number + 1
-            head = json.dumps({"frame": number, **state}, allow_nan=False).encode()
-            self._frame = _Frame(number, b"".join((struct.pack(">I", len(head)), head, jpeg)))
-            self._changed.notify_all()
+            self._shown, self._stalled = (state, jpeg), ""
+            self._show(state, jpeg)
+
+    def note_silence(self, silent_s: float, *, is_connected: bool) -> None:
+        """Note how long the simulator has been silent. If that is long, or if it has gone, pages get the last
+        frame again, with the reason."""
+        why = "gone" if not is_connected else "silent" if silent_s >= STALLED_S else ""
+        with self._changed:
+            if self._shown is not None and why not in ("", self._stalled):
+                self._stalled = why
+                state, jpeg = self._shown
+                self._show({**state, "stalled": why, "stalled_since_s": time.time() - silent_s}, jpeg)
 
     def event(self, text: str, *, is_problem: bool = False) -> None:
         """Send a line about an event to all pages."""
@@ -275,6 +286,12 @@ class Wheel:
             asked = is_holder and self._seat.asking is not None
             seat = {"type": "wheel", "holder": is_holder, "asked": asked, "free": self._seat.holder is None}
             page.texts.append(json.dumps(seat))
+        self._changed.notify_all()
+
+    def _show(self, state: Mapping[str, object], jpeg: bytes) -> None:
+        number = 1 if self._frame is None else self._frame.number + 1
+        head = json.dumps({"frame": number, **state}, allow_nan=False).encode()
+        self._frame = _Frame(number, b"".join((struct.pack(">I", len(head)), head, jpeg)))
         self._changed.notify_all()
 
     def _to_all(self, text: str) -> None:

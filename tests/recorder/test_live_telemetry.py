@@ -24,7 +24,7 @@ from recorder import Imported, LogWriter, RecordingError
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.settings import ListenSettings
 from recorder.upkeep.check import check
-from serving import ModernClient
+from serving import ModernClient, RawClient
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -262,18 +262,28 @@ def test_a_kind_of_bad_telemetry_is_said_once_and_fills_no_log(tmp_path: Path) -
     assert bad[-1].endswith("(35 more)")
 
 
-def test_two_simulators_at_once_lose_nothing_and_kill_finishes_the_log(tmp_path: Path) -> None:
-    with ListenProcess(tmp_path / "live.mcap") as process:
+def test_two_simulators_at_once_have_a_log_each_and_kill_finishes_both(tmp_path: Path) -> None:
+    log, second_log = tmp_path / "live.mcap", tmp_path / "live-2.mcap"
+    with ListenProcess(log) as process:
         port = process.wait_until_it_listens()
-        other = threading.Thread(target=tell, args=(port, DRIVEN[:20]))
-        other.start()
-        tell(port, DRIVEN[20:])
-        other.join(PATIENCE_S)
+        first, second = ModernClient(port), RawClient(port)
+        for telemetry, other in zip(DRIVEN[:10], DRIVEN[10:20], strict=True):
+            first.tell(fields(telemetry))
+            second.tell(fields(other))
+            assert second.command() == ("manual", {})
+        second.websocket.send("1")
+        second.until_hung_up()
+        first.tell(fields(DRIVEN[20]))
+        again = ModernClient(port)  # as one that was closed and started again: its log continues
+        again.tell(fields(DRIVEN[21]))
+        for client in (first, again):
+            client.close()
         assert process.end(signal.SIGTERM) == 0
-    frames = read_messages(tmp_path / "live.mcap")["/camera/center"]
-    assert sorted(decoded.data for _, decoded in frames) == sorted(telemetry.jpeg for telemetry in DRIVEN)
-    times_ns = [message.log_time for message, _ in frames]
-    assert times_ns == sorted(set(times_ns))
+    for path, driven in ((log, [*DRIVEN[:10], DRIVEN[20]]), (second_log, [*DRIVEN[10:20], DRIVEN[21]])):
+        frames = read_messages(path)["/camera/center"]
+        assert [decoded.data for _, decoded in frames] == [telemetry.jpeg for telemetry in driven]
+    assert process.stdout == f"{log} 11 11\n"
+    assert sum("a second simulator" in line and str(second_log) in line for line in process.stderr) == 1
 
 
 def listen_here(

@@ -6,6 +6,7 @@ import base64
 import itertools
 import math
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -25,22 +26,28 @@ from recorder.sources.person_pedals import throttle_of_telemetry
 from recorder.sources.settings import ListenSettings
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check
-from serving import ModernClient
+from serving import ModernClient, RawClient
 from waiting import PATIENCE_S
-from wheel_page import WheelPage
+from wheel_page import Shown, WheelPage
+
+
+def telemetry(picture: bytes = b"", **changed: object) -> dict[str, object]:
+    image = base64.b64encode(picture or road_jpeg(0)).decode()
+    return {"steering_angle": "5.0", "throttle": "0.25", "speed": "8.0", "image": image, **changed}
 
 
 class Drive:
     """A drive in a thread: a simulator, and a page at its wheel."""
 
     done: Imported
+    last: Shown
 
     def __init__(self, log: Path) -> None:
         self.log = log
         self.error: Exception | None = None
         self.state: dict[str, Any] = {}
         self._pictures = itertools.count()
-        (self._port,) = free_ports(1)
+        (self.port,) = free_ports(1)
         self._listens, self._has_ended = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -48,7 +55,7 @@ class Drive:
     def running(self) -> Iterator[Drive]:
         self._thread.start()
         self._listens.wait()
-        with WheelPage() as self.page, closing(ModernClient(self._port)) as self.simulator:
+        with WheelPage() as self.page, closing(ModernClient(self.port)) as self.simulator:
             yield self
         self._has_ended.wait()
 
@@ -56,14 +63,11 @@ class Drive:
         """The answer to a telemetry, once the page's controls are in force."""
         number = self.page.steer(steering, throttle, device="mouse")
         while True:
-            image = base64.b64encode(
-                road_jpeg(next(self._pictures))
-            ).decode()  # never twice: that is a frozen camera
-            numbers = {"steering_angle": "5.0", "throttle": "0.25", "speed": f"{speed_mph}"}
-            telemetry = {**numbers, "image": image, **more}
-            name, command = self.simulator.tell(telemetry)
+            picture = road_jpeg(next(self._pictures))  # never twice: that is a frozen camera
+            name, command = self.simulator.tell(telemetry(picture, speed=f"{speed_mph}", **more))
             assert name == "steer"
-            self.state = self.page.frame().state
+            self.last = self.page.frame()
+            self.state = self.last.state
             if self.state["control"] >= number:
                 return {field: float(text) for field, text in command.items()}
 
@@ -80,7 +84,7 @@ class Drive:
         return self.page.text("ended")
 
     def _run(self) -> None:
-        settings = ListenSettings(port=self._port, on_started=lambda _: self._listens.set())
+        settings = ListenSettings(port=self.port, on_started=lambda _: self._listens.set())
         try:
             self.done = listen_at_the_wheel(settings, self.log, 10.0)
         except RecordingError as error:
@@ -117,6 +121,62 @@ def test_a_person_answers_telemetry_and_it_is_recorded_as_steered(tmp_path: Path
     assert {state.Device.Name(state.device) for state in states} == {"MOUSE"}
     assert 0.75 in {state.brake for state in states}
     assert not check(drive.log).findings
+
+
+def test_one_wheel_steers_one_simulator_and_then_the_one_that_remains(tmp_path: Path) -> None:
+    with Drive(tmp_path / "mine.mcap").running() as drive:
+        drive.drive(8.0, -0.5, 0.25)
+        drive.page.send("record")
+        second = RawClient(drive.port)
+        second.tell(telemetry(speed="3.0"))
+        assert second.command() == ("manual", {})
+        while not drive.rows():
+            drive.drive(8.0, -0.5, 0.25)
+        drive.simulator.close()
+        while (state := drive.page.frame().state).get("stalled") != "gone":
+            pass
+        assert state["speed_mph"] == 8.0
+        drive.page.steer(0.75)
+        drive.page.send("ask")
+        drive.page.text("wheel")  # the wheel has the controls: it answers in order
+        second.tell(telemetry(speed="3.0"))
+        name, command = second.command()
+        assert (name, float(command["steering_angle"])) == ("steer", 0.75)
+        while (state := drive.page.frame().state)["speed_mph"] != 3.0:
+            pass
+        assert "stalled" not in state
+        drive.end()
+        second.vanish()
+    with Log(drive.log) as log:
+        assert {state.speed_mph for _, state in log.vehicle_states()} <= {8.0, 3.0}
+    assert [path.name for path in tmp_path.glob("*.mcap")] == ["mine.mcap"]
+
+
+def test_the_page_shows_the_last_picture_of_a_silent_simulator(tmp_path: Path) -> None:
+    with Drive(tmp_path / "mine.mcap").running() as drive:
+        drive.drive(0.0, 0.5)
+        picture = drive.last.jpeg
+        while not (shown := drive.page.frame()).state.get("stalled"):
+            pass
+        assert (shown.state["stalled"], shown.jpeg) == ("silent", picture)
+        assert 0.0 <= time.time() - shown.state["stalled_since_s"] < PATIENCE_S
+        drive.drive(0.0, 0.5)
+        assert "stalled" not in drive.state
+        drive.end()
+
+
+def test_a_silent_simulator_is_braked_at_the_end(tmp_path: Path) -> None:
+    with Drive(tmp_path / "mine.mcap").running() as drive:
+        drive.drive(30.0, 1.0, 1.0)
+        drive.page.send("record")
+        while not drive.rows():
+            drive.drive(30.0, 1.0, 1.0)
+        count = len(drive.simulator.answers)
+        drive.end()  # it hangs from here on
+        drive.simulator.wait_for(count + 2)
+        pushed = [(float(data["steering_angle"]), float(data["throttle"])) for _, data in drive.simulator.answers]
+    assert pushed[count:][0] == (0.0, -1.0)
+    assert pushed[-1] == (0.0, 0.0)
 
 
 def test_commas_are_answered_with_commas_from_the_first_message(tmp_path: Path) -> None:
