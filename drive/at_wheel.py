@@ -11,6 +11,7 @@ from common.interrupts import StopEvent
 from drive.config import DriveConfig
 from drive.control.driver import Decision
 from drive.control.takeover import PersonTakeover
+from recorder.log.tags import Tag
 from recorder.sources.eye_pictures import EyeMoment, EyePictures
 from recorder.teleop.frame_state import FrameState
 from recorder.teleop.rate_meter import RateMeter
@@ -116,6 +117,17 @@ class AtWheel:
             self._wheel.show(state.as_message(), telemetry.picture)
         else:
             self._eye.offer(EyeMoment(row, pose, state, telemetry.picture))
+
+    def note_silence(self, silent_s: float, *, is_connected: bool) -> None:
+        """Let the page show that the simulator is silent, or has gone."""
+        self._wheel.note_silence(silent_s, is_connected=is_connected)
+
+    def leave(self) -> list[Tag]:
+        """Leave a session: the next one has its own rows and takeovers. Returns the tags of its rows."""
+        self.person.hand_back()
+        tags, self.last_rows = self.last_rows.tags, LastRows(self._wheel)
+        self._takeovers, self._was_human, self._began_s = [], False, None
+        return tags
 
     def event(self, text: str, *, is_problem: bool) -> None:
         self._wheel.event(text, is_problem=is_problem)

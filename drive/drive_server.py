@@ -62,8 +62,8 @@ class DriveServer:
         `notify` gets a line for each event; `show_status` gets the status of the drive ten times a second. With
         `track`, the simulator is the built-in one on that track: its silence is no fault, because it loses no
         telemetry, and it does not connect again. `at_wheel` lets a person take over from the network, in the first
-        simulator that connects. Raises UserError if `log` exists and may not be overwritten, ListenError if the
-        port is taken.
+        simulator that connects; when it has gone, in one that remains. Raises UserError if `log` exists and may
+        not be overwritten, ListenError if the port is taken.
         """
         self._pilot = pilot
         self.config = replace(config, car=BUILT_IN) if track is not None else config
@@ -109,7 +109,7 @@ class DriveServer:
 
         def is_over() -> bool:
             is_stop_requested = stopped is not None and stopped.is_set()
-            is_end_asked = self.session.is_end_asked
+            is_end_asked = any(session.is_end_asked for session in self.sessions)
             if not (is_stop_requested or is_end_asked or until() or self._failure is not None):
                 return False
             if self._stopping_since_s is None:
@@ -148,6 +148,8 @@ class DriveServer:
             if session.is_connected and session in self._stopping and not session.is_at_rest:
                 session.rolling_reason = "its simulator has disconnected"
             session.disconnected(reason)
+            for other in self._driven.values():
+                session.hand_wheel_to(other)
             if self._track is None and session.connections <= MAX_CONNECTION_NOTICES:
                 frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
                 self.notify(f"disconnected ({reason}): {frames}" + ("" if self._driven else "; waiting"))
@@ -169,7 +171,10 @@ class DriveServer:
 
     def tick(self) -> None:
         now_s = time.monotonic()
-        self.session.attend()
+        for session in self.sessions:
+            session.attend()
+            if self._track is None:  # the built-in simulator's silence is no fault
+                session.note_silence()
         self._push(DriveSession.watchdog_steer if self._stopping_since_s is None else DriveSession.brake_steer)
         shown = next((session for session in self.sessions if session.is_connected), self.session)
         if text := shown.status(now_s):

@@ -16,6 +16,7 @@ from drive.log.drive_summary import DriveSummary
 from drive.log.summary_lines import LiveStatus
 from model import Pilot
 from recorder import LogWriter
+from recorder.log.tags import Tag
 from recorder.server.braking import WALKING_MPH
 from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
@@ -62,6 +63,7 @@ class DriveSession:
         self._pilot = pilot
         self._config = config
         self._at_wheel = at_wheel
+        self._tags: list[Tag] = []  # of rows that a person rejected, who is at another session's wheel now
         self._driver = self._new_driver()
         self._metadata: dict[str, dict[str, str]] = {}
         self._last_steer = _NEUTRAL
@@ -159,11 +161,25 @@ class DriveSession:
         self._last_steer = replace(self._last_steer, steering=steering, throttle=throttle)
         return self._last_steer
 
+    def hand_wheel_to(self, other: DriveSession) -> None:
+        """Let the person at this session's wheel drive the car of another one."""
+        if self._at_wheel is not None:
+            at_wheel, self._at_wheel = self._at_wheel, None
+            self._tags += at_wheel.leave()
+            other._at_wheel, other._driver.person = at_wheel, at_wheel.person
+            text = f"the simulator has gone: the wheel is that of the other one, logged to {other.writer.path}"
+            other._tell([text], is_problem=True)
+
     def attend(self) -> None:
         """Carry out the requests of the page of the person at the wheel."""
         for text in self._at_wheel.attend() if self._at_wheel is not None else ():
             self.log.event(text)
             self._notify(text)
+
+    def note_silence(self) -> None:
+        """Let the page of the person at the wheel show that the simulator is silent, or has gone."""
+        if self._at_wheel is not None:
+            self._at_wheel.note_silence(self.silent_s, is_connected=self.is_connected)
 
     @property
     def is_end_asked(self) -> bool:
@@ -221,8 +237,10 @@ class DriveSession:
             self.add_metadata(DRIVE_METADATA, self.summary.as_metadata())
             for record, values in self._metadata.items():
                 self.writer.add_metadata(record, values)
-        if kind is None and self._at_wheel is not None and self._at_wheel.last_rows.tags:
-            close_with_tags(self.writer, self._at_wheel.last_rows.tags)
+        if self._at_wheel is not None:
+            self._tags += self._at_wheel.last_rows.tags
+        if kind is None and self._tags:
+            close_with_tags(self.writer, self._tags)
         self.writer.__exit__(kind)
         if kind is None and self._at_wheel is not None:
             self._at_wheel.end(self.writer.path, self.log.frames)

@@ -89,7 +89,8 @@ class Driver:
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
-        self._person = person
+        self.person = person
+        """Who may take over from the network."""
         self._course = CourseEvents()
         self._steering = 0.0
         self._network = 0.0, 0.0  # the last steering and throttle without the person's
@@ -127,8 +128,8 @@ class Driver:
         if events := self._world_events(world, problems):
             decision = replace(decision, events=(*events, *decision.events))
         self._network = decision.steering, decision.throttle
-        if self._person is not None:  # last, so that the newest controls count
-            decision = self._with_person(decision, self._person, time_s)
+        if self.person is not None:  # last, so that the newest controls count
+            decision = self._with_person(decision, self.person, time_s)
         if self._last_brake is not None:
             throttle = self._last_brake.throttle(self._clock.safety_s, self._speed_mph)
             decision = replace(decision, throttle=throttle, driver="brake")
@@ -154,9 +155,9 @@ class Driver:
         """Steering and throttle while no telemetry comes, and events: the newest command of a person who is at the
         wheel, else the network's last one. They never brake: a simulator that stays silent keeps a command for
         ever, and a brake would finally reverse its car."""
-        events = [] if self._person is None else self._person.update(is_braked=False)
-        if self._person is not None and self._person.person_drives:
-            self._steering, throttle = self._person.command(self._speed_mph)
+        events = [] if self.person is None else self.person.update(is_braked=False)
+        if self.person is not None and self.person.person_drives:
+            self._steering, throttle = self.person.command(self._speed_mph)
         else:
             self._steering, throttle = self._network
         return self._steering, max(0.0, throttle), events

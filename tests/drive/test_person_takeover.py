@@ -48,8 +48,8 @@ class Supervised:
     page: WheelPage
     log: Path
 
-    def drive(self, speed_mph: float = 9.0) -> Steer:
-        answer = self.server.telemetry("simulator", telemetry(speed_mph), time.perf_counter())
+    def drive(self, speed_mph: float = 9.0, simulator: str = "simulator") -> Steer:
+        answer = self.server.telemetry(simulator, telemetry(speed_mph), time.perf_counter())
         answer.on_sent(1.0)
         assert answer.command is not None
         return answer.command
@@ -229,6 +229,50 @@ def test_the_log_and_the_summary_count_the_persons_takeovers(supervised: Supervi
         assert [DEVICES[number] for number in log.devices()] == ["", "keyboard", "", "keyboard", ""]
     ended = supervised.page.text("ended")
     assert (ended["rows"], [takeover["row"] for takeover in ended["takeovers"]]) == (5, [1, 3])
+
+
+def test_the_wheel_follows_the_simulator_that_remains(supervised: Supervised) -> None:
+    supervised.drive()
+    supervised.page.send("bad", seconds=60)
+    supervised.sent()
+    second_log = supervised.log.with_stem("run-2")
+    supervised.drive(simulator="second")
+    supervised.steer()
+    assert supervised.drive().steering == PERSON
+    assert supervised.drive(simulator="second").steering != PERSON
+    supervised.server.tick()
+    supervised.server.disconnected("simulator", "gone")
+    supervised.steer()
+    assert supervised.drive(simulator="second").steering == PERSON
+    supervised.page.send("bad", seconds=60)
+    supervised.page.send("end")
+    supervised.sent()
+    supervised.server.tick()
+    assert any(session.is_end_asked for session in supervised.server.sessions)
+    with supervised.server:
+        pass  # finishes the logs
+    for path, rows in ((supervised.log, Tag(0, 0, "exclude")), (second_log, Tag(2, 2, "exclude"))):
+        with Log(path) as log:
+            assert read_tags(path, log.fingerprint) == [rows]
+
+
+@pytest.mark.parametrize("why", ["silent", "gone"])
+def test_the_page_gets_the_last_picture_of_a_simulator_that_is_silent_or_gone(
+    supervised: Supervised, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervised.drive()
+    assert "stalled" not in supervised.page.frame().state
+    if why == "silent":
+        monkeypatch.setattr("recorder.teleop.wheel.STALLED_S", 0.0)
+    else:
+        supervised.server.disconnected("simulator", "gone")
+    for _ in range(3):
+        supervised.server.tick()
+    shown = supervised.page.frame()
+    assert (shown.state["stalled"], shown.jpeg) == (why, road_jpeg(0))
+    supervised.drive(speed_mph=3.0)
+    frame = supervised.page.frame()  # the next one: it was sent once
+    assert (frame.state.get("stalled"), frame.state["speed_mph"]) == (None, 3.0)
 
 
 def test_the_last_seconds_are_tagged_as_bad(supervised: Supervised) -> None:

@@ -34,6 +34,7 @@ class Host:
         self.requests: list[Request] = []
         self.is_ended = False
         self.frames = 0
+        self.is_silent = False  # sends no frames
 
     @property
     def address(self) -> str:
@@ -114,7 +115,7 @@ def _loop(host: Host, simulation: Simulation, with_network: bool, stopped: threa
         course.advance(steering, throttle)
         step += 1
         rows += is_recording and step % (50 // RATE_HZ) == 0
-        if step % PICTURE_STEPS == 0:
+        if step % PICTURE_STEPS == 0 and not host.is_silent:
             state: dict[str, Any] = {
                 "time_s": course.time_s,
                 "control": control.number,

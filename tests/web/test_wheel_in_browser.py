@@ -77,6 +77,26 @@ def test_keys_steer_by_unitys_rule(browser: Browser, bench: Served) -> None:
     assert steering == pytest.approx([*left, *both, *right, *snapped])
 
 
+@pytest.mark.parametrize(
+    ("is_connected", "text"), [(True, "The simulator has been silent since "), (False, "The simulator has gone. ")]
+)
+def test_the_picture_of_a_silent_simulator_is_dimmed_until_it_goes_on(
+    browser: Browser, bench: Served, host: Host, is_connected: bool, text: str
+) -> None:
+    def is_dimmed() -> bool:
+        host.wheel.note_silence(5.0, is_connected=is_connected)
+        return bool(page.query_selector("#cockpit.stalled"))
+
+    with at_wheel(browser, bench, host) as page:
+        assert page.is_hidden("#stalled")
+        host.is_silent = True
+        wait_until(is_dimmed)
+        assert page.inner_text("#stalled").startswith(text)
+        host.is_silent = False
+        page.wait_for_selector("#stalled", state="hidden")
+        assert not page.query_selector("#cockpit.stalled")
+
+
 def test_keys_drive_the_car_and_are_let_go_when_the_window_loses_focus(
     browser: Browser, bench: Served, host: Host
 ) -> None:

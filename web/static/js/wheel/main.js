@@ -168,7 +168,19 @@ async function show(frame, jpeg) {
   if (isHolder) delays.painted(frame.control);
   isRecording = frame.is_recording;
   panel.show(frame, isHolder, delays.median);
+  stalled(frame);
   page.dataset.frame = frame.frame;
+}
+
+/** Dim the picture of a simulator that sends no new one, and say why. */
+function stalled({ stalled: why = "", stalled_since_s: since_s }) {
+  by("cockpit").classList.toggle("stalled", why !== "");
+  by("stalled").hidden = !why;
+  if (!why) return;
+  const at = new Date(1000 * since_s).toTimeString().slice(0, 8);
+  write("stalled", why === "gone"
+    ? `The simulator has gone. Its last picture is of ${at}. Start it again: the drive waits for it.`
+    : `The simulator has been silent since ${at}. Its car keeps its last command.`);
 }
 
 function report(text, level = "warning") {
@@ -183,7 +195,7 @@ function ended({ why }) {
   isHolder = isFree = false;
   link.close();
   showProblem("");
-  for (const id of ["drive", "seat", "help"]) by(id).hidden = true;
+  for (const id of ["drive", "seat", "help", "stalled"]) by(id).hidden = true;
   for (const element of page.querySelectorAll(".tools, details, #driver, #help-button")) element.hidden = true;
   write("recording", "ended");
   by("recording").classList.remove("on");
