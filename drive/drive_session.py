@@ -145,7 +145,7 @@ class DriveSession:
         steering, throttle, events = self._driver.go_on_without_telemetry()
         for text in events:
             self.log.event(text)
-        self._tell(events, is_problem=False)
+        self._report(events, is_problem=False)
         self._last_steer = replace(self._last_steer, steering=steering, throttle=throttle)
         return self._last_steer
 
@@ -168,7 +168,7 @@ class DriveSession:
             self._tags += at_wheel.leave()
             other._at_wheel, other._driver.person = at_wheel, at_wheel.person
             text = f"the simulator has gone: the wheel is that of the other one, logged to {other.writer.path}"
-            other._tell([text], is_problem=True)
+            other._report([text], is_problem=True)
 
     def attend(self) -> None:
         """Carry out the requests of the page of the person at the wheel."""
@@ -290,9 +290,9 @@ class DriveSession:
         self.summary.decision(decision, total_ms)
         if self._at_wheel is not None:
             self._at_wheel.show(decision, self.log.frames - 1)
-        self._tell(decision.events, is_problem=bool(decision.problem))
+        self._report(decision.events, is_problem=bool(decision.problem))
 
-    def _tell(self, events: Iterable[str], *, is_problem: bool) -> None:
+    def _report(self, events: Iterable[str], *, is_problem: bool) -> None:
         """Print events: they explain why the car brakes, or who drives. The page shows them, too."""
         for text in events:
             self._notify(text)

@@ -25,7 +25,9 @@ LANDING_PAGE: Final = (
 
 NOTICE_BROWSER: Final = "a browser has opened this port: start the simulator's autonomous mode instead"
 NOTICE_TLS: Final = "a client uses TLS, which this port does not support: begin the address with ws:// or http://"
-NOTICE_NOT_HTTP: Final = "a program that is not a simulator uses this port: give one of the two another port"
+NOTICE_NOT_HTTP: Final = (
+    "a client sent no whole HTTP request: if it is another program, give one of the two another port"
+)
 NOTICE_SILENT: Final = (
     f"disconnected a client that sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
 )

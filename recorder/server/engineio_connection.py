@@ -27,10 +27,14 @@ NOTICE_BROKEN: Final = (
     "disconnected a client that broke the Socket.IO protocol: a simulator in autonomous mode does not, other"
     " clients need python-socketio 5 or its like"
 )
-NOTICE_NOT_READING: Final = "disconnected a client that does not read its messages: it is not a simulator"
+NOTICE_NOT_READING: Final = (
+    "disconnected a client that does not read its messages: if it is your simulator, start it again"
+)
 NOTICES_HUNG_UP: Final = {
     TOO_LARGE: "disconnected a client that sent too much at once: a picture has 320x160 pixels and about 15 KB",
-    BROKEN_FRAME: "disconnected a client that broke the websocket protocol: it is not a simulator",
+    BROKEN_FRAME: (
+        "disconnected a client that broke the websocket protocol: if it is your simulator, start it again"
+    ),
 }
 
 
@@ -143,6 +147,8 @@ class Connection(Socket):  # type: ignore[misc]
         A client of Socket.IO 2 sends no CONNECT packet. Without this packet, python-socketio 5 silently drops all
         events, so it is added here.
         """
+        if not message:
+            return  # it breaks nothing
         try:
             if not self.is_announced:
                 self.is_announced = True

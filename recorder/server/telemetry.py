@@ -80,7 +80,7 @@ def parse_telemetry(data: object, known_separator: str | None = None, car: Car =
     decimal = observed or known_separator or POINT  # "N4", the default, never writes three decimals
     numbers: dict[str, float] = {}
     problems: list[TelemetryError] = []
-    if missing := [name for name in _FIELDS if data.get(name) is None]:
+    if missing := [name for name in _FIELDS if name not in data]:
         problems.append(_missing(missing, data))
     for name in _NUMBERS:
         if name not in missing:
@@ -159,6 +159,8 @@ def _missing(names: list[str], data: dict[object, object]) -> TelemetryError:
 
 def _number(value: object, field: str, decimal: str, unit: float) -> float:
     """The number in a present field, times `unit`. Raises TelemetryError for anything else."""
+    if value is None:
+        raise TelemetryError(f"{field} is null")
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise TelemetryError(f"{field} is not a number but {json_kind(value)}")
     try:
@@ -192,6 +194,8 @@ def _side_pictures(data: dict[object, object]) -> tuple[dict[Camera, bytes], tup
 
 def _image(value: object, name: str) -> bytes:
     """The picture in a present field. Raises TelemetryError for anything else."""
+    if value is None:
+        raise TelemetryError(f"{name} is null")
     if not isinstance(value, str):
         raise TelemetryError(f"{name} is not a string but {json_kind(value)}")
     if not value:

@@ -198,6 +198,8 @@ class WebSocket:
         elif frame.fin:
             message = b"".join(self._parts)
             self._parts, self._size = [], 0
+            if not message:
+                return  # not even Engine.IO, and no harm
             try:
                 self._messages.append((message.decode() if self._is_text else message, self._arrived_s))
             except UnicodeDecodeError:

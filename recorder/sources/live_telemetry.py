@@ -110,7 +110,7 @@ class _Listener:
         self._status = status
         self._writing = writing
         self._recorded: dict[str, _Session] = {}  # by connection
-        self._said: set[str] = set()
+        self._notified: set[str] = set()
         self._connections = 0
         self._first_connected_s: float | None = None  # until the first telemetry, or the notice that none comes
         self._text = ""
@@ -232,8 +232,8 @@ class _Listener:
         return session
 
     def _warn_once(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
+        if text not in self._notified:
+            self._notified.add(text)
             self.warn(text)
 
 

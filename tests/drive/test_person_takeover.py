@@ -131,7 +131,7 @@ def test_a_person_who_goes_leaves_the_wheel_to_the_network(supervised: Supervise
     wait_until(lambda: supervised.drive().steering == networks)
 
 
-def test_a_silent_simulator_gets_the_newest_command_of_a_person_who_is_there(
+def test_a_silent_simulator_gets_the_newest_command_of_a_person(
     supervised: Supervised, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drive.drive_session.WATCHDOG_S", 0.0)
@@ -162,7 +162,7 @@ def test_a_silent_simulator_gets_nothing_of_a_person_who_has_gone(
     assert NOBODY in [event.message for _, event in read_messages(supervised.log)["/events"]]
 
 
-def test_a_person_who_goes_while_the_car_is_braked_leaves_it_to_the_brake(supervised: Supervised) -> None:
+def test_a_person_who_goes_while_the_car_is_braked_leaves_the_brake_on(supervised: Supervised) -> None:
     supervised.steer()
     supervised.drive()
     supervised.server.stop()
@@ -257,7 +257,7 @@ def test_the_wheel_follows_the_simulator_that_remains(supervised: Supervised) ->
 
 
 @pytest.mark.parametrize("why", ["silent", "gone"])
-def test_the_page_gets_the_last_picture_of_a_simulator_that_is_silent_or_gone(
+def test_the_page_shows_that_the_simulator_is_silent_or_gone(
     supervised: Supervised, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervised.drive()

@@ -143,7 +143,7 @@ def test_a_client_that_waits_for_no_answer_misses_one_for_each_command() -> None
 
 
 @pytest.mark.usefixtures("patient")
-def test_a_burst_leaves_two_in_flight_and_every_telemetry_reaches_the_handler() -> None:
+def test_a_burst_leaves_two_in_flight_and_all_reach_the_handler() -> None:
     """A simulator stood still while its server restarted: it sends one telemetry for each command that waited."""
     is_handling, goes_on = threading.Event(), threading.Event()
 
@@ -171,7 +171,7 @@ def test_a_burst_leaves_two_in_flight_and_every_telemetry_reaches_the_handler() 
 
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("hangs_up", [True, False])
-def test_a_held_telemetry_whose_client_or_server_ends_reaches_the_handler(hangs_up: bool) -> None:
+def test_a_held_telemetry_reaches_the_handler_when_its_client_goes(hangs_up: bool) -> None:
     book = Pushing()
     with serving(book) as running:
         loop = Loop(book.server.port, 1)

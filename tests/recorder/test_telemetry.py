@@ -237,7 +237,7 @@ def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, v
     ("value", "reason"),
     [
         (..., "missing"),
-        (None, "missing"),
+        (None, "null"),
         ("", "empty"),
         (b"\xff\xd8", "not a string"),
         (["/9j/"], "not a string"),

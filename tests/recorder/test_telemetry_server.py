@@ -335,11 +335,9 @@ def test_broken_packets_are_hung_up_on_and_said_once() -> None:
         "42{}",
         "42[1]",
         "x",
-        "",
         '42["connect",{}]',
         "42" + "[" * 100_000,
         b"\xff" * 100,
-        b"",
     ]
     with Serving(book) as serving:
         for hello, packet in itertools.product(([], ["40"]), broken):
@@ -350,6 +348,18 @@ def test_broken_packets_are_hung_up_on_and_said_once() -> None:
         wait_until(lambda: book.calls.count("connected") == book.calls.count("disconnected"))
     (line,) = serving.said
     assert "protocol" in line
+
+
+def test_empty_messages_are_passed_over() -> None:
+    with Serving(Book()) as serving:
+        client = RawClient(serving.port)
+        for number in range(2):
+            for empty, opcode in (("", ABNF.OPCODE_TEXT), (b"", ABNF.OPCODE_BINARY), ("4", ABNF.OPCODE_TEXT)):
+                client.websocket.send(empty, opcode)
+            client.tell(fields(number))
+            assert client.command() == steered(Steer(-steering(number), 0.5))
+        client.close()
+    assert serving.said == []
 
 
 def test_broken_frames_and_endless_messages_are_hung_up_on() -> None:
@@ -410,8 +420,8 @@ OLD_PYTHON = "/socket.io/?EIO=3&transport=polling"
 KNOCKS: dict[str, tuple[Callable[[int], object], str]] = {
     "a client of another version": (lambda port: get(port, OLD_PYTHON), "refused.*python-socketio 5"),
     "another transport": (lambda port: get(port, "/socket.io/?EIO=4&transport=x"), "refused.*python-socketio 5"),
-    "bytes": (lambda port: send_bytes(port, b"\x00\x01SSH-2.0\r\n\r\n"), "not a simulator.*another port"),
-    "a request that is none": (lambda port: send_bytes(port, b"GET\r\n\r\n"), "not a simulator.*another port"),
+    "bytes": (lambda port: send_bytes(port, b"\x00\x01SSH-2.0\r\n\r\n"), "HTTP.*another port"),
+    "a request that is none": (lambda port: send_bytes(port, b"GET\r\n\r\n"), "HTTP.*another port"),
     "TLS": (greet_by_tls, "TLS.*ws://"),
 }
 
@@ -490,7 +500,7 @@ def test_the_reason_is_plain_where_a_telemetry_is_no_object() -> None:
     reasons = {
         '{"speed": 9.0': "telemetry is not JSON",
         "'x'": "telemetry is not JSON",
-        "[" * 5000 + "]" * 5000: "telemetry is not JSON",
+        "[" * 200_000 + "]" * 200_000: "telemetry is not JSON",  # 3.13 takes it from 5,000 deep
         json.dumps(json.dumps(fields(0))): "not an object but a string (send the object, not a string of JSON)",
         '"not JSON"': "not an object but a string",
         "[1]": "not an object but a list",
