@@ -73,6 +73,30 @@ def answer_to(number: int) -> tuple[str, Any]:
     return steered(Steer(-steering(number), 0.5))
 
 
+@pytest.mark.usefixtures("patient")
+def test_a_client_is_not_answered_after_its_ping_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it would count as another simulator when it connects again."""
+    book = Pushing()
+    with serving(book):
+        loop = Loop(book.server.port, 1)
+        loop.expect_answer_to(0)
+        book.push()
+        assert loop.client.command() == steered(PUSHED)
+        loop.tell()
+        wait_until(lambda: has_held(book))
+        connection = book.server._connection(book.sid)
+        assert connection is not None
+        connection.last_ping = time.time() - 1000  # it was suspended
+        wait_until(lambda: "disconnected" in book.calls)
+        for name in ("MIN_HOLD_S", "MAX_HOLD_S", "FIRST_HOLD_S"):
+            monkeypatch.setattr(flight, name, 0.0)
+        ticks = book.ticks
+        wait_until(lambda: book.ticks > ticks + 2)
+        loop.client.vanish()
+    assert book.calls[-1] == "disconnected"
+    assert book.left == [fields(1)]
+
+
 def has_held(book: Pushing) -> bool:
     connection = book.server._connection(book.sid)
     return connection is not None and connection.in_flight.holds
