@@ -7,6 +7,7 @@ and Rerun's.
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 from collections import defaultdict
@@ -290,7 +291,8 @@ def test_foxglove_draws_a_curve_without_reading_pictures(written: dict[tuple[str
 
 def rerun(*arguments: str | Path) -> str:
     line = [str(viewer_program()), "mcap", *map(str, arguments)]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    quiet = {**os.environ, "CI": "true"}  # else its first run on a machine prints a notice about usage data
+    done = subprocess.run(line, env=quiet, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout
 
