@@ -115,12 +115,11 @@ def test_that_keras_is_missing_is_one_line(keras_python: str, tmp_path: Path) ->
         "benchmarks/from_bucket.py . logs",
         "benchmarks/rendering.py",
         "studies/odd_stretches.py --logs toy.mcap",
-        "studies/which_number_report.py ROOT/studies/which_number.parquet report",
     ],
 )
 def test_it_runs_with_a_small_size(line: str, index: Path, tmp_path: Path) -> None:
     shutil.copytree(index.parent, tmp_path, dirs_exist_ok=True)
-    script, *words = line.replace("ROOT", str(ROOT)).split()
+    script, *words = line.split()
     done = subprocess.run(
         [sys.executable, ROOT / script, *words],
         cwd=tmp_path,
