@@ -113,7 +113,6 @@ def test_that_keras_is_missing_is_one_line(keras_python: str, tmp_path: Path) ->
         "benchmarks/many_samples.py --samples 30000",
         "benchmarks/loading.py index",
         "benchmarks/from_bucket.py . logs",
-        "benchmarks/rendering.py",
         "studies/odd_stretches.py --logs toy.mcap",
     ],
 )
