@@ -73,10 +73,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(f"skipped {count}: {reason}")
 
 
-def pytest_sessionfinish() -> None:
-    gc.unfreeze()  # else nothing of what is loaded is collected at the end, and DuckDB lists it as leaked
-
-
 def pytest_xdist_auto_num_workers() -> int:
     """Half as many again as there are processors: many tests wait for a process, a socket or a clock."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
