@@ -17,7 +17,9 @@ from common.errors import UsageError, as_user_error, counted
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
+from recorder.log.known_lag import lag_path
 from recorder.log.logs_in_folder import logs_at, logs_in
+from recorder.log.tags import tags_path
 from recorder.log_flag import named_log
 
 
@@ -48,9 +50,17 @@ class CopyLogs:
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
     """Copy logs and folders of logs, also after a failure; the worst of the exit codes."""
     from common.progress import progress_bar, progress_task
-    from recorder.upkeep.copy_log import copy_log  # obstore, an extra
 
     pairs = _pairs(places, to)
+    for log, target in pairs:
+        if isinstance(log, Path) and isinstance(target, Path):
+            files = [(log, target), (tags_path(log), tags_path(target)), (lag_path(log), lag_path(target))]
+            copies = " && ".join(
+                shlex.join(["cp", *map(str, pair)]) for pair in files if Path(str(pair[0])).is_file()
+            )
+            raise UserError(f"{log} and {target}: both are on this machine; copy with `{copies}`")
+    from recorder.upkeep.copy_log import copy_log  # obstore, an extra
+
     codes = [DONE]
     with progress_bar() as bar:
         for number, (log, target) in enumerate(pairs, start=1):

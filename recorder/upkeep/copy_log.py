@@ -36,7 +36,7 @@ from common.object_store import (
     remove,
 )
 from recorder.errors import LogError, recovery
-from recorder.log.known_lag import copy_lag, lag_path
+from recorder.log.known_lag import copy_lag
 from recorder.log.reader import Log
 from recorder.log.tags import MAX_BYTES, tags_path
 from recorder.upkeep.check import is_whole
@@ -71,10 +71,7 @@ def copy_log(
     elif isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
     else:
-        files = [(log, to), (tags_path(log), tags_path(to)), (lag_path(log), lag_path(to))]
-        pairs = [shlex.join(map(str, pair)) for pair in files if Path(str(pair[0])).is_file()]
-        copies = " && ".join(f"cp {pair}" for pair in pairs)
-        raise UserError(f"{log} and {to}: both are on this machine; copy with `{copies}`")
+        raise UserError(f"{log} and {to}: both are on this machine; copy with `cp`")
     copy_lag(log, to)
     return copied
 

@@ -42,7 +42,7 @@ def test_a_run_is_evaluated_and_drives(made: Toolkit) -> None:
     assert "lake" in made.do("bc-log", "ls")
     made.do("bc-train", "--resume", "first", "--epochs", 2)
     made.do("bc-train", "--init", "first", "--name", "more", "--network", "small", "--epochs", 1)
-    made.do("bc-eval", "--compare", "first", "more")
+    assert made.run("bc-eval", "--compare", "first", "more").code in (0, 3)  # 3: too few frames for a verdict
     assert made.run("bc-doctor").code in (0, 3)
 
 
@@ -63,7 +63,7 @@ def test_logs_are_cleaned(made: Toolkit) -> None:
     made.do("bc-log", "merge", "cut/start.mcap", "sessions/mountain.mcap", "--to", "cut/both.mcap")
     made.do("bc-log", "split", "cut/both.mcap", "--to", "cut/drives")
     made.do("bc-log", "rewrite", log, "--to", "cut/new.mcap")
-    made.do("bc-log", "copy", log, "copies/lake.mcap")
+    assert "cp" in made.refused("bc-log", "copy", log, "copies/lake.mcap")
     whole = (made.folder / log).read_bytes()
     (made.folder / "cut" / "killed.mcap").write_bytes(whole[: len(whole) * 2 // 3])
     assert made.run("bc-log", "recover", "cut/killed.mcap").code in (0, 3)
@@ -136,8 +136,8 @@ def test_the_readmes_python_runs_as_it_stands(made: Toolkit) -> None:
         ("onnx", ("bc-train", "export", "first", "--onnx", "first.onnx")),
         ("onnx", ("bc-train", "export", "first", "--hub", "hub")),
         ("onnx", ("bc-train", "export", "first", "--donkeycar", "car")),
-        ("tensorboard", ("bc-train", "--name", "second", "--tensorboard")),
-        ("torchvision", ("bc-train", "--name", "second", "--network", "resnet18")),
+        ("tensorboard", ("bc-train", "--name", "new", "--tensorboard")),
+        ("torchvision", ("bc-train", "--name", "new", "--network", "resnet18")),
         ("scale", ("bc-index", "--ray")),
         ("scale", ("bc-log", "ls", "s3://bucket/sessions")),
         ("scale", ("bc-index", "--sessions", "s3://bucket/sessions")),

@@ -13,6 +13,7 @@ import pytest
 from starlette.routing import Match, Route, WebSocketRoute
 
 from installed_toolkit import Toolkit
+from ports import free_ports
 from upload_bodies import upload_body
 from waiting import PATIENCE_S, wait_until
 from web.app import routes_of
@@ -21,7 +22,7 @@ from web.pages.workbench import Workbench
 from wheel_page import WheelPage
 from workbench import Answer, Served
 
-LINK: Final = re.compile(r'(?:href|src|hx-get|action)="(/[^"#]*)"')
+LINK: Final = re.compile(r'(?:href|src|hx-get)="(/[^"#]*)"')
 
 
 class User:
@@ -80,12 +81,13 @@ class User:
 
 @pytest.fixture(scope="module")
 def user(made: Toolkit) -> Iterator[User]:
-    with made.start("bc-web", "--port", 0) as process:
+    (port,) = free_ports(1)
+    with made.start("bc-web", "--port", port) as process:
         try:
             assert process.stdout is not None
             address = urlsplit(process.stdout.readline().strip())
             (token,) = parse_qs(address.query)["token"]
-            yield User(Served(made.folder, address.port or 0, token))
+            yield User(Served(made.folder, port, token))
         finally:
             process.terminate()
             _, errors = process.communicate(timeout=PATIENCE_S)

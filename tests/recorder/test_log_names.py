@@ -46,7 +46,10 @@ def test_several_logs_are_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_log, "merge", "lake", "first", "--to", "x.mcap") == 0
     capsys.readouterr()
     call(bc_log, "copy", "lake", "first", "both")
-    assert "drives/first.mcap and both/first.mcap: both are on this machine" in capsys.readouterr().err
+    assert (
+        "sessions/lake.mcap and both/lake.mcap: both are on this machine; copy with `cp sessions/lake.mcap"
+        in capsys.readouterr().err
+    )
     assert call(bc_log, "tag", "lake", "good", "--rows", "2", "3") == 0
     assert tags_path(Path("sessions/lake.mcap")).is_file()
 
