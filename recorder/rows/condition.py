@@ -96,19 +96,24 @@ class _ExpectedError(Exception):
 def _parsed(condition: str) -> ast.expr:
     if len(condition) > _MAX_CHARACTERS:
         raise _ExpectedError(f"{len(condition):,} characters; at most {_MAX_CHARACTERS:,} are allowed")
+    try:
+        condition.encode()
+    except UnicodeEncodeError:  # of a command line
+        raise _ExpectedError("expected text in UTF-8") from None
     python, words = [], []
     for token in _TOKEN.finditer(condition):
         text = token[0]
         match token.lastgroup:
             case "text":
-                text = repr(text[1:-1].replace(text[0] * 2, text[0]))
+                # the parentheses keep Python from joining two texts without a comma between them
+                text = f"({text[1:-1].replace(text[0] * 2, text[0])!r})"
             case "word":
                 words.append(text.lower())
                 text = _WORDS.get(text.lower(), text)
             case "number":
                 text += ".0" if text.isdigit() and int(text) >= 2**63 else ""
             case "wrong":
-                raise _ExpectedError(f"expected {_EXAMPLE}, not {text!r}")
+                raise _ExpectedError(f"unexpected {text!r}; expected {_EXAMPLE}")
         python.append(_SIGNS.get(text, text))
     for word in words:
         if word in _IN_SQL:
@@ -136,6 +141,8 @@ class _Values:
                 return functools.reduce(join, (_of_kind("condition", part(node), node) for node in parts))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return pc.invert(_of_kind("condition", part(operand), operand))
+            case ast.Compare(ops=[_, _, *_] as ops) if any(type(op) not in _COMPARE for op in ops):
+                raise _ExpectedError(f"expected parentheses around one of the comparisons in {_shown(node)}")
             case ast.Compare(left=left, ops=ops, comparators=others):
                 firsts = [left, *others]
                 links = (self._compared(*link, part) for link in zip(ops, firsts, others, strict=False))
@@ -157,6 +164,8 @@ class _Values:
                 return self._column(name)
             case ast.Constant(value=int() | float() | str() as value) if not isinstance(value, bool):
                 return pa.scalar(value)
+            case ast.Constant(value=None):
+                raise _ExpectedError("null stands only in is null and is not null")
         raise _ExpectedError(
             f"expected a column, number, quoted text, abs(x), min(x, y), max(x, y) or len(x), not {_shown(node)}"
         )
@@ -175,7 +184,8 @@ class _Values:
     def _compared(self, op: ast.cmpop, left: ast.expr, right: ast.expr, part: Callable[..., Values]) -> Values:
         match op, right:
             case ast.Is() | ast.IsNot(), ast.Constant(value=None):
-                values = part(left)
+                if isinstance(values := part(left), pa.StringScalar):
+                    raise _quoted(left)
                 return pc.is_null(values) if isinstance(op, ast.Is) else pc.is_valid(values)
             case ast.In() | ast.NotIn(), _:
                 holds = self._is_in(left, right, part)
@@ -211,9 +221,16 @@ def _comparison(
     if kind not in ("number", "text"):
         raise _ExpectedError(f"expected a number or text, not the {kind} {_shown(left)}")
     _of_kind(kind, second, right)
+    if isinstance(first, pa.StringScalar) and isinstance(second, pa.StringScalar):
+        raise _quoted(left)
     if kind == "number" and not (pa.types.is_integer(first.type) and pa.types.is_integer(second.type)):
         first, second = _float(first, left), _float(second, right)
     return compare(first, second)
+
+
+def _quoted(node: ast.expr) -> _ExpectedError:
+    """SQL has columns in double quotes."""
+    return _ExpectedError(f"expected a column, not the text {_shown(node)}; columns have no quotes")
 
 
 def _kind(values: Values) -> str:
@@ -243,10 +260,10 @@ def _known(values: Values) -> Values:
 
 
 def _lists_with(column: pa.ChunkedArray, text: pa.Scalar) -> pa.ChunkedArray:
-    """Which lists contain a text."""
+    """Which lists contain a text; null for null."""
     holds = np.zeros(len(column), np.bool_)
     holds[pc.list_parent_indices(column).filter(pc.equal(pc.list_flatten(column), text)).to_numpy()] = True
-    return pa.chunked_array([holds])
+    return pa.chunked_array([pa.array(holds, mask=pc.is_null(column).to_numpy())])
 
 
 def _shown(node: ast.expr) -> str:

@@ -94,6 +94,12 @@ def test_a_list_is_found_in_any_piece_of_a_table() -> None:
     assert not rows_where(ROWS.slice(0, 0), "'fog' in tags").any()
 
 
+def test_an_unknown_list_neither_contains_a_text_nor_lacks_it() -> None:
+    tags = pa.array([["fog"], None, []], pa.list_(pa.string()))
+    for condition, expected in (("'fog' in tags", [0]), ("'fog' not in tags", [2]), ("tags is null", [1])):
+        assert np.flatnonzero(rows_where(pa.table({"tags": tags}), condition)).tolist() == expected
+
+
 def test_the_columns_of_a_log() -> None:
     zeros = np.zeros(3)
     states = States(np.arange(3), np.array([5, 6, 7]) * 10**9, zeros, zeros, zeros, zeros)
@@ -108,7 +114,10 @@ def test_the_columns_of_a_log() -> None:
      "not row", "-session = 1", "abs(row, 1) = 1", "abs(x=row) = 1", "min(row) = 1", "row.real < 1",
      "row[0] < 1", "row < 2 # 3", "row < 2 -- two", "f'{row}' = 'x'", "1=1) union all select 1 from (select 1",
      "row = 1; drop table frames", "(lambda: row)() = 1", "'fog", "@ < 1", "row if row else row",
-     "[row for row in tags] = 1", "(row := 1) = 1", "row = 1, row = 2", "*row = 1"],
+     "[row for row in tags] = 1", "(row := 1) = 1", "row = 1, row = 2", "*row = 1",
+     "session in ('lake' 'lake2')", "'la' 'ke' = session", "session = '\udcff'", "'\udcff' in tags",
+     "speed_mph > 5 is null", "'fog' in tags is null", "row = 1 in (1, 2)", "row in (1, null)",
+     "'lake' in 'lake'"],
 )  # fmt: skip
 def test_anything_else_is_a_mistake_that_names_the_columns(condition: str) -> None:
     with pytest.raises(UsageError, match=r"^--where .*columns are row, time_ns, steering, .*, tags$"):
@@ -134,6 +143,14 @@ def test_nothing_that_grows_is_computed(condition: str) -> None:
         ("row between 5 and 9", "between is not known; write 5 <= row <= 9"),
         ("session LIKE 'lake%'", "like is not known; write 'lake' in session"),
         ("list_contains(tags, 'fog')", "list_contains is not known; write 'recovery' in tags"),
+        ("speed_mph = null", "null stands only in is null and is not null"),
+        ("""\"session\" = 'lake'""", "expected a column, not the text 'session'; columns have no quotes"),
+        ('"speed_mph" is not null', "expected a column, not the text 'speed_mph'; columns have no quotes"),
+        ("not row = 1 is null", "expected parentheses around one of the comparisons in row == 1 is None"),
+        (
+            "session = 'lake",
+            r"unexpected \"'\"; expected comparisons such as speed_mph > 5, joined by and, or, not;",
+        ),
         ("speed_mph > 5 and not isnan(speed_mph)", "isnan is not known; write speed_mph is null"),
     ],
 )
