@@ -159,7 +159,8 @@ class _Values:
                 return pc.list_value_length(_of_kind("list", part(only), only))
             case ast.Call(func=ast.Name(id="min" | "max" as name), args=[_, _, *_] as args, keywords=[]):
                 function = pc.min_element_wise if name == "min" else pc.max_element_wise
-                return function(*(_float(part(arg), arg) for arg in args), skip_nulls=False)
+                numbers = (_float(part(arg), arg) for arg in args)  # one after another, to hold only two
+                return functools.reduce(functools.partial(function, skip_nulls=False), numbers)
             case ast.Name(id=name):
                 return self._column(name)
             case ast.Constant(value=int() | float() | str() as value) if not isinstance(value, bool):

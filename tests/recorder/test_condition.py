@@ -136,6 +136,18 @@ def test_nothing_that_grows_is_computed(condition: str) -> None:
     assert len(str(raised.value)) < 600
 
 
+def test_a_long_condition_needs_no_more_memory_than_a_short_one() -> None:
+    rows = pa.table({"row": np.arange(10_000)})
+    usual = pa.default_memory_pool()
+    pool = pa.proxy_memory_pool(usual)
+    pa.set_memory_pool(pool)
+    try:
+        assert rows_where(rows, f"max({'row, ' * 300}1) = 1").sum() == 2
+    finally:
+        pa.set_memory_pool(usual)
+    assert pool.max_memory() < 10 * rows.nbytes
+
+
 @pytest.mark.parametrize(
     ("condition", "hint"),
     [
