@@ -1,7 +1,8 @@
-"""The cache of bc-web stays below its limit."""
+"""The cache of bc-web stays below its limit, and is its user's."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -24,3 +25,12 @@ def test_the_limit_holds_while_it_is_used_and_the_newest_are_kept(
     again.tidy()
     assert sum(path.stat().st_size for path in tmp_path.glob("*/*")) <= 80_000
     assert again.find("picture 499") == bytes([499 % 256]) * 1000
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no modes")
+def test_other_users_cannot_read_it(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "web"
+    for _ in range(2):
+        CacheFolder(folder).keep("picture", b"jpeg")
+        assert folder.stat().st_mode & 0o777 == 0o700
+        folder.chmod(0o755)  # as an earlier version made it

@@ -29,6 +29,9 @@ class CacheFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        with contextlib.suppress(OSError):  # read-only
+            folder.mkdir(parents=True, exist_ok=True)
+            folder.chmod(0o700)  # pictures of logs, and what jobs printed, are not for other users
         self._since_tidied = 0  # bytes
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:

@@ -72,6 +72,7 @@ class RequestGuard:
         self._hosts = AllowedHosts(host)
         self._token = token
         self._once = once
+        self._is_opened = False  # by `once`
         self._headers = {**_HEADERS, **_LOCAL_HEADERS} if is_loopback(host) else _HEADERS
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -147,6 +148,12 @@ class RequestGuard:
         if scheme.lower() == "bearer" and self._is_token(bearer.strip()):
             return
         if not self._is_token(cookie_parser(headers.get("cookie", "")).get(_cookie(scope), "")):
+            if self._is_opened and self._once in scope["query_string"].decode("latin-1"):
+                raise WebError(
+                    "this address opens bc-web only once, and it has been opened. If you did not open it, another"
+                    " user of this machine did: end bc-web, and start it without --open",
+                    401,
+                )
             raise WebError(
                 "this page needs the token of bc-web: open the address that bc-web printed, which ends with it;"
                 " each start of bc-web has a new one",
@@ -157,9 +164,9 @@ class RequestGuard:
         return bool(self._token) and hmac.compare_digest(text.encode(), self._token.encode())
 
     def _is_once(self, text: str) -> bool:
-        if not self._once or not hmac.compare_digest(text.encode(), self._once.encode()):
+        if self._is_opened or not self._once or not hmac.compare_digest(text.encode(), self._once.encode()):
             return False
-        self._once = ""
+        self._is_opened = True
         return True
 
 
