@@ -7,27 +7,16 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
 from common.command import warn
-from common.errors import UserError
 from common.interrupts import GracefulStop, stop_signals
 from common.location import Location
 from common.output import print_message
-from common.versions import install_line
 
 _PAGE: Final = ("-P", "-c", "from behavioural_cloning_toolkit import wheel_page; wheel_page()")
 _END_S: Final = 2.0  # until bc-web is killed
-
-
-def check_wheel_page() -> None:
-    """Raise UserError if packages of bc-web are missing: a person steers on its page."""
-    if missing := [name for name in ("starlette", "uvicorn", "jinja2") if find_spec(name) is None]:
-        raise UserError(
-            f"--driver me needs a page, but {missing[0]} is not installed: run `{install_line('web')}`"
-        )
 
 
 @contextlib.contextmanager

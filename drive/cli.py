@@ -20,7 +20,7 @@ from common.location import Url
 from common.output import print_message, print_next, print_result
 from common.preview import has_display, preview
 from common.progress import StatusLine
-from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
+from common.wheel_page import wait_until_left, wheel_page
 from drive.config import DriveConfig
 from drive.drive_flags import Drive, refuse_contradictions, with_default_driver
 from drive.errors import DriveError
@@ -130,8 +130,6 @@ def _at_wheel(
     from recorder.teleop.wheel import Wheel
     from simulator.driving.simulation import Simulation
 
-    if config.page:
-        check_wheel_page()
     where = config.simulator or f"the simulator that connects to {config.host}:{config.port}"
     # the simulator sends small pictures and the car's pose: this process renders the page's pictures
     simulation = None if config.simulator is None else Simulation(config.simulator)

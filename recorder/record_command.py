@@ -14,7 +14,7 @@ from common.errors import UsageError, counted, printable
 from common.location import Url, local_path
 from common.output import print_message, print_next, print_result
 from common.preview import preview
-from common.wheel_page import check_wheel_page, wait_until_left, wheel_page
+from common.wheel_page import wait_until_left, wheel_page
 from recorder.errors import RecordingError
 from recorder.log.session_car import named_car
 from recorder.log_copy_cli import copy_recording, refuse_copying, refuse_taken_name
@@ -110,8 +110,6 @@ def _record_to(config: Record, log: Path) -> Imported:
 
 def _record_at_the_wheel(config: Record, log: Path, settings: ListenSettings) -> Imported:
     """Record a person in the built-in simulator, or, with --listen, in one that connects."""
-    if config.page:
-        check_wheel_page()
     with contextlib.ExitStack() as stack:
 
         def serve_page(wheel: Wheel) -> None:

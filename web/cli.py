@@ -14,7 +14,6 @@ from common.interrupts import stop_signals
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
-from common.versions import install_line
 from recorder.server.allowed_hosts import is_loopback
 
 
@@ -50,18 +49,13 @@ def serve(config: Web, page: str = "") -> int:
         raise UsageError(f"--no-token lets everybody in who reaches --host {config.host}: leave out one of them")
     _check_folders(config)
     allow_places(config.sessions, config.drives)
-    try:
-        from web.app import workbench_app
-        from web.server.memory import give_memory_back
-        from web.server.request_guard import TOKEN, new_token
-        from web.server.workbench_server import WorkbenchServer
-    except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn", "jinja2"):
-            raise
-        raise UserError(f"{error.name} is not installed: `{install_line('web')}` brings it") from None
+    from web.app import workbench_app
     from web.folders.cache_folder import default_cache_folder
     from web.folders.project_folders import ProjectFolders
     from web.jobs.jobs import Jobs
+    from web.server.memory import give_memory_back
+    from web.server.request_guard import TOKEN, new_token
+    from web.server.workbench_server import WorkbenchServer
 
     give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
