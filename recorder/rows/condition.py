@@ -203,9 +203,8 @@ class _Values:
                 return pc.match_substring(column, text.as_py())
             if isinstance(text, pa.Scalar) and _kind(column) == "list":
                 return _lists_with(column, text)
-        one_of = (
-            right.elts if isinstance(right, ast.Tuple) else [right]
-        )  # without a comma, parentheses are no tuple
+        # without a comma, parentheses are no tuple
+        one_of = right.elts if isinstance(right, ast.Tuple) else [right]
         if not one_of or not all(isinstance(part(one), pa.Scalar) for one in one_of):
             raise _ExpectedError(
                 f"expected a list column or values such as ('lake', 'mountain'), not {_shown(right)}"
