@@ -234,12 +234,19 @@ def _quoted(node: ast.expr) -> _ExpectedError:
 
 
 def _kind(values: Values) -> str:
+    """number, text, list, condition, or Arrow's name of another type, which a foreign index may have."""
     kind = values.type
     if pa.types.is_boolean(kind):
         return "condition"
-    if pa.types.is_list(kind):
+    if pa.types.is_list(kind) and _is_text(kind.value_type):
         return "list"
-    return "text" if pa.types.is_string(kind) or pa.types.is_large_string(kind) else "number"
+    if _is_text(kind):
+        return "text"
+    return "number" if pa.types.is_integer(kind) or pa.types.is_floating(kind) else str(kind)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return kind in (pa.string(), pa.large_string())
 
 
 def _of_kind(kind: str, values: Values, node: ast.expr) -> Values:

@@ -136,6 +136,19 @@ def test_nothing_that_grows_is_computed(condition: str) -> None:
     assert len(str(raised.value)) < 600
 
 
+@pytest.mark.parametrize(
+    ("values", "condition", "named"),
+    [
+        (pa.array([1], pa.timestamp("ns")), "x > 5", "timestamp"),
+        (pa.array([{"a": 1}]), "abs(x) > 5", "struct"),
+        (pa.array([[1]]), "len(x) = 1 and 'fog' in x", "list<"),
+    ],
+)
+def test_a_column_of_another_type_is_named(values: pa.Array, condition: str, named: str) -> None:
+    with pytest.raises(UsageError, match=f": expected .*, not .*{named}"):
+        rows_where(pa.table({"x": values}), condition)
+
+
 def test_a_long_condition_needs_no_more_memory_than_a_short_one() -> None:
     rows = pa.table({"row": np.arange(10_000)})
     usual = pa.default_memory_pool()
