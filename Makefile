@@ -22,7 +22,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 ifeq ($(shell uname -s)-$(TORCH),Linux-cpu)
 define install-torch
 @echo "PyTorch without CUDA, because there is no NVIDIA driver here: 'make install TORCH=cuda' chooses otherwise."
-$(1) --retries 1 --timeout 15 install --quiet --no-deps --index-url $(TORCH_CPU_INDEX) "$$(grep '^torch==' constraints.txt)" || \
+$(1) --retries 1 --timeout 15 install --no-deps --index-url $(TORCH_CPU_INDEX) "$$(grep '^torch==' constraints.txt)" || \
   echo "$(TORCH_CPU_INDEX) has no build for this Python, or is out of reach: PyTorch with CUDA, 4 GB more."
 endef
 endif
