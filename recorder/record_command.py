@@ -45,10 +45,21 @@ def record(config: Record) -> int:
     elif config.copy_to is not None:
         refuse_copying(config.copy_to)
     done = _record_to(config, local_path(config.sessions) / name)
-    size_mb = done.path.stat().st_size / 1e6
     code = warn_skipped(done.skipped)
+    for recorded in (done, *done.others):
+        _print_recorded(recorded)
+        if config.copy_to is not None:
+            code = max(code, copy_recording(recorded.path, config.copy_to, config.force))
+    folder = done.path.parent
+    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
+    return code
+
+
+def _print_recorded(done: Imported) -> None:
+    """Print what is in a log, and what is perhaps odd."""
     for notice in done.notices:
         print_message(notice)
+    size_mb = done.path.stat().st_size / 1e6
     print_result(
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
@@ -62,11 +73,6 @@ def record(config: Record) -> int:
         print_message(line, heading="odd:", style="yellow")
     for line in odd_advice(odd, done.path):
         print_message(line)
-    if config.copy_to is not None:
-        code = max(code, copy_recording(done.path, config.copy_to, config.force))
-    folder = done.path.parent
-    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
-    return code
 
 
 def _record_to(config: Record, log: Path) -> Imported:

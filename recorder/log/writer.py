@@ -48,15 +48,13 @@ FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush may be late, and 
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
 AddMessage = Callable[[int, bytes, int, int], object]
+"""Adds a message to a channel: log time, content, publish time, sequence number."""
 
 
 def log_beside(log: Path, taken: Container[Path]) -> Path:
     """A free path for another simulator's log, not among the `taken` ones: run-2.mcap for run.mcap."""
     names = (log.with_stem(f"{log.stem}-{number}") for number in itertools.count(2))
     return next(name for name in names if name not in taken and not os.path.lexists(name))
-
-
-"""Adds a message to a channel: log time, content, publish time, sequence number."""
 
 
 def timestamp(time_ns: int) -> Timestamp:

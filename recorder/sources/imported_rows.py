@@ -36,6 +36,7 @@ class Imported:
     pictures: int
     skipped: Skipped
     notices: Sequence[str] = ()  # lines about its content
+    others: Sequence[Imported] = ()  # of further simulators at the same time
 
 
 class SkippedEvents:

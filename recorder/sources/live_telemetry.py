@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -81,11 +82,11 @@ def listen_for_telemetry(
         if person is not None:
             recorded[0].writer.add_metadata(PERSON_METADATA, {"hold_mph": f"{person.hold_mph:g}"})
             close_with_tags(recorded[0].writer, person.recording.tags)
-    first, *others = recorded
-    also = [f"{session.writer.path} has another simulator's {counted(session.rows, 'row')}" for session in others]
-    return Imported(
-        first.writer.path, first.rows, first.pictures, listener.skipped, [*first.writer.notices, *also]
-    )
+    first, *others = [
+        Imported(session.writer.path, session.rows, session.pictures, Skipped(), session.writer.notices)
+        for session in recorded
+    ]
+    return replace(first, skipped=listener.skipped, others=others)
 
 
 class _Listener:

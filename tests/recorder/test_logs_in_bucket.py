@@ -19,7 +19,7 @@ from bucket import Answer, Bucket
 from common.errors import ObjectChangedError, StoreError, UsageError
 from common.location import Url, location, relative_to
 from disk import files_of_at_most
-from driving import one_line_in
+from driving import Process, command, one_line_in
 from faulty_proxy import Passing
 from layouts import mixed
 from logs import flip_bit, write_log
@@ -31,6 +31,7 @@ from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
+from serving import RawClient, fields
 from udacity import call, picture
 
 ROWS = 40
@@ -286,8 +287,8 @@ def test_without_the_right_to_list_it_says_so(
         return not is_there and passing.fail(403, "AccessDenied")
 
     bucket.answer = as_s3_does
-    for command, url in (("ls", "s3://logs/"), ("info", "s3://logs/b.mcap")):  # it may well have tags
-        assert call(main, command, url) == 1
+    for verb, url in (("ls", "s3://logs/"), ("info", "s3://logs/b.mcap")):  # it may well have tags
+        assert call(main, verb, url) == 1
         line = one_line_in(capsys)
         assert "s3://logs/" in line
         assert "s3:ListBucket" in line
@@ -551,6 +552,22 @@ def test_a_recording_is_copied_when_it_is_finished(bucket: Bucket, tmp_path: Pat
     flags = ("--track", "lake", "--laps", "0.003", "--copy-to", "s3://logs/sessions")
     assert call(bc_record, "now", *flags) == 0
     assert (bucket.folder / "sessions/now.mcap").read_bytes() == (tmp_path / "sessions/now.mcap").read_bytes()
+
+
+def test_all_logs_of_a_recording_are_copied(bucket: Bucket, tmp_path: Path) -> None:
+    flags = ("--listen", "--port", 0, "--copy-to", "s3://logs/sessions")
+    with Process(command("bc-record", "now", *flags), tmp_path) as process:
+        port = int(process.wait_for(r"waiting for a simulator on 127\.0\.0\.1:(\d+)$")[1])
+        clients = [RawClient(port), RawClient(port)]
+        for number, client in enumerate(clients):
+            client.tell(fields(number))
+            assert client.command() == ("manual", {})
+        for client in clients:
+            client.close()
+        assert process.end() == 0
+    for log in ("sessions/now.mcap", "sessions/now-2.mcap"):
+        assert f"{log}: 1 row, 1 picture" in process.stdout
+        assert (bucket.folder / log).read_bytes() == (tmp_path / log).read_bytes()
 
 
 def test_a_recording_that_cannot_be_copied_is_recorded_all_the_same(
