@@ -155,3 +155,8 @@ def relative_to(place: Location, folder: Location) -> str:
     if isinstance(folder, Url):
         return real_path(place).as_uri()
     return Path(os.path.relpath(real_path(place), real_path(folder))).as_posix()
+
+
+def shown_address(host: str, port: int) -> str:
+    """Host and port as in a URL: an IPv6 address has brackets."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -16,7 +16,7 @@ from common.command import DONE, DONE_BUT_SKIPPED, run_command, usage_errors, wa
 from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
-from common.location import Url
+from common.location import Url, shown_address
 from common.output import print_message, print_next, print_result
 from common.preview import has_display, preview
 from common.progress import StatusLine
@@ -96,7 +96,8 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> tuple[int, li
             with contextlib.ExitStack() as after, server:  # the viewer ends after the log, so its file is complete
                 after.enter_context(_viewer(config, server.session.writer))
                 if simulator is None:
-                    _notify(f"{pilot.run} is waiting for a simulator on {config.host}:{server.port}")
+                    where = shown_address(config.host, server.port)
+                    _notify(f"{pilot.run} is waiting for a simulator on {where}")
                     server.run(stopped=stopped)
                 else:
                     if at_wheel is not None:
@@ -130,7 +131,7 @@ def _at_wheel(
     from recorder.teleop.wheel import Wheel
     from simulator.driving.simulation import Simulation
 
-    where = config.simulator or f"the simulator that connects to {config.host}:{config.port}"
+    where = config.simulator or f"the simulator that connects to {shown_address(config.host, config.port)}"
     # the simulator sends small pictures and the car's pose: this process renders the page's pictures
     simulation = None if config.simulator is None else Simulation(config.simulator)
     about = hello(

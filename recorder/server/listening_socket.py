@@ -7,6 +7,7 @@ import selectors
 import socket
 from typing import Any
 
+from common.location import shown_address
 from recorder.errors import ListenError
 
 
@@ -31,7 +32,7 @@ def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
     `eventlet.listen` shares ports: a second server would silently take half of the connections.
     """
     if not 0 <= port < 65536:
-        raise ListenError(f"cannot listen on {host}:{port}: --port is a number from 1 to 65535")
+        raise ListenError(f"cannot listen on {shown_address(host, port)}: --port is a number from 1 to 65535")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = kind(family, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -44,5 +45,5 @@ def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
         advice = "give an address of this machine by --host"
         if getattr(error, "errno", None) in (errno.EADDRINUSE, errno.EACCES):
             advice = "end the bc-drive or bc-record --listen that is running there, or give another --port"
-        raise ListenError(f"cannot listen on {host}:{port} ({reason}); {advice}") from None
+        raise ListenError(f"cannot listen on {shown_address(host, port)} ({reason}); {advice}") from None
     return listener

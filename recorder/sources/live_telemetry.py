@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from common import Skipped, UserError
 from common.errors import counted
 from common.interrupts import stop_signals
+from common.location import shown_address
 from common.output import print_message
 from common.progress import StatusLine
 from recorder.errors import RecordingError
@@ -70,7 +71,7 @@ def listen_for_telemetry(
                     return is_ended
                 return (is_ended or person.is_ended) and person.is_at_rest()
 
-            listener.show(f"waiting for a simulator on {settings.host}:{server.port}")
+            listener.show(f"waiting for a simulator on {shown_address(settings.host, server.port)}")
             if settings.on_started is not None:
                 settings.on_started(listener.sessions[0].writer.part)
             server.run(until=is_over)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import shutil
+import socket
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,6 +41,13 @@ def _has_gpu() -> bool:
     return torch.cuda.is_available()
 
 
+def _has_ipv6() -> bool:
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET6) as listener:
+        listener.bind(("::1", 0))
+        return True
+    return False
+
+
 NEEDS: Final[Mapping[str, Need]] = {
     "recordings": Need("real Udacity recordings", "name their folder in BC_RECORDINGS", RECORDINGS.is_dir),
     "chromium": Need("Chromium", "apt install chromium", lambda: CHROMIUM != "" and os.name == "posix"),
@@ -66,6 +75,7 @@ NEEDS: Final[Mapping[str, Need]] = {
     "torchvision": Need(
         "torchvision", ".venv/bin/pip install torchvision", lambda: find_spec("torchvision") is not None
     ),
+    "ipv6": Need("IPv6", "a machine with the address ::1", _has_ipv6),
     "gpu": Need("a GPU of NVIDIA", "a machine with one", _has_gpu),
     "no_gpu": Need("a machine without a GPU", "CUDA_VISIBLE_DEVICES= make test", lambda: not _has_gpu()),
 }

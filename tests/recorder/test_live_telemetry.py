@@ -18,7 +18,7 @@ from typing import Any, Literal
 import pytest
 
 from common import UserError
-from driving import PATIENCE_S, Process, road_jpeg
+from driving import PATIENCE_S, Process, command, road_jpeg
 from logs import START_NS, read_messages
 from recorder import Imported, LogWriter, RecordingError
 from recorder.sources.live_telemetry import listen_for_telemetry
@@ -107,7 +107,9 @@ BAD: dict[str, tuple[Any, str]] = {
 }
 
 
-def tell(port: int, telemetries: Sequence[SimulatorTelemetry | Literal["manual"]]) -> list[ServerCommand]:
+def tell(
+    port: int, telemetries: Sequence[SimulatorTelemetry | Literal["manual"]], host: str = "127.0.0.1"
+) -> list[ServerCommand]:
     """The simulator's own client tells them all, each when the last is answered; the answers."""
     answers: list[ServerCommand] = []
     left: Iterator[SimulatorMessage] = iter(telemetries)
@@ -117,7 +119,7 @@ def tell(port: int, telemetries: Sequence[SimulatorTelemetry | Literal["manual"]
             answers.append(answer)
         return next(left, None if len(answers) == len(telemetries) else "nothing")
 
-    SimulatorClient(port=port, wait_s=PATIENCE_S).run(next_telemetry)
+    SimulatorClient(host, port, wait_s=PATIENCE_S).run(next_telemetry)
     return answers
 
 
@@ -284,6 +286,16 @@ def test_two_simulators_at_once_have_a_log_each_and_kill_finishes_both(tmp_path:
         assert [decoded.data for _, decoded in frames] == [telemetry.jpeg for telemetry in driven]
     assert process.stdout == f"{log} 11 11\n"
     assert sum("a second simulator" in line and str(second_log) in line for line in process.stderr) == 1
+
+
+@pytest.mark.needs("ipv6")
+def test_a_simulator_is_recorded_over_ipv6(tmp_path: Path) -> None:
+    flags = ("--listen", "--host", "::1", "--port", 0, "--idle", 0)
+    with Process(command("bc-record", "live", *flags), tmp_path) as process:
+        port = int(process.wait_for(r"^waiting for a simulator on \[::1\]:(\d+)$")[1])
+        tell(port, DRIVEN[:1], "::1")
+        assert process.join() == 0
+    assert len(read_messages(tmp_path / "sessions/live.mcap")["/camera/center"]) == 1
 
 
 def listen_here(
