@@ -123,8 +123,9 @@ class AtWheel:
         self._wheel.note_silence(silent_s, is_connected=is_connected)
 
     def leave(self) -> list[Tag]:
-        """Leave a session: the next one has its own rows and takeovers. Returns the tags of its rows."""
+        """Leave a session: the next one has its own car, rows and takeovers. Returns the tags of its rows."""
         self.person.hand_back()
+        self._wheel.wait_for_touch()
         tags, self.last_rows = self.last_rows.tags, LastRows(self._wheel)
         self._takeovers, self._was_human, self._began_s = [], False, None
         return tags

@@ -130,6 +130,8 @@ class _Listener:
     def disconnected(self, sid: str, reason: str) -> None:
         if (session := self._recorded.pop(sid, None)) is not None:
             session.disconnected(reason)
+            if self._person is not None:
+                self._person.wait_for_touch()
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         self._last_s = time.monotonic()

@@ -89,6 +89,10 @@ class PersonOfTelemetry:
         self._sent = Steer(0.0, throttle, separator)
         return self._sent
 
+    def wait_for_touch(self) -> None:
+        """The simulator has gone: the next one's car gets neutral controls until the person touches anew."""
+        self._wheel.wait_for_touch()
+
     def note_silence(self, *, is_connected: bool) -> None:
         """Let the page show that the simulator is silent, or has gone."""
         self._wheel.note_silence(self._clock.tick() - self._last_s, is_connected=is_connected)

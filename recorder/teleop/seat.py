@@ -35,6 +35,8 @@ class Seat:
         self._control = Control()
         self._last_s = float("-inf")  # the holder's last message
         self._was_touched = False  # since the loop looked last, so that short presses count
+        self._is_touching = False  # by the holder's last message
+        self._waits_for_touch = False  # until then, the controls are neutral
 
     def enter(self, page: object, now_s: float) -> None:
         """A page connects. It gets the wheel if no other page holds it."""
@@ -59,6 +61,8 @@ class Seat:
         self._last_s = now_s
         if message.number <= self._control.number:
             return False
+        self._waits_for_touch &= self._is_touching or not message.touching
+        self._is_touching = message.touching
         self._control = Control(
             message.steering,
             message.throttle,
@@ -70,7 +74,14 @@ class Seat:
             is_absent=False,
         )
         self._was_touched |= message.touching
+        if self._waits_for_touch:
+            self._let_go()
         return True
+
+    def wait_for_touch(self) -> None:
+        """The car is another one now: the controls are neutral until the holder touches anew."""
+        self._waits_for_touch = True
+        self._let_go()
 
     def ask(self, page: object, now_s: float) -> None:
         """A page asks for the wheel. It gets it at once if no page holds it, or the holder is silent."""
@@ -98,6 +109,7 @@ class Seat:
         if self.asking is page:
             self.asking = None
         self._let_go()
+        self._is_touching = self._waits_for_touch = False
         self._control = replace(self._control, number=0)
         self._last_s = now_s
 

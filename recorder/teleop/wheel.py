@@ -113,6 +113,11 @@ class Wheel:
             self.control_came.clear()
             return self._seat.control(time.monotonic())
 
+    def wait_for_touch(self) -> None:
+        """Keep the controls neutral until the person touches anew: the car is another one now."""
+        with self._changed:
+            self._seat.wait_for_touch()
+
     def requests(self) -> list[Request]:
         """The requests since the last call."""
         with self._changed:

@@ -243,6 +243,9 @@ def test_the_wheel_follows_the_simulator_that_remains(supervised: Supervised) ->
     assert supervised.drive(simulator="second").steering != PERSON
     supervised.server.tick()
     supervised.server.disconnected("simulator", "gone")
+    supervised.steer()  # a key is still held
+    assert supervised.drive(simulator="second").steering != PERSON
+    supervised.steer(0.0, touching=False)
     supervised.steer()
     assert supervised.drive(simulator="second").steering == PERSON
     supervised.page.send("bad", seconds=60)
@@ -252,7 +255,7 @@ def test_the_wheel_follows_the_simulator_that_remains(supervised: Supervised) ->
     assert any(session.is_end_asked for session in supervised.server.sessions)
     with supervised.server:
         pass  # finishes the logs
-    for path, rows in ((supervised.log, Tag(0, 0, "exclude")), (second_log, Tag(2, 2, "exclude"))):
+    for path, rows in ((supervised.log, Tag(0, 0, "exclude")), (second_log, Tag(2, 3, "exclude"))):
         with Log(path) as log:
             assert read_tags(path, log.fingerprint) == [rows]
 

@@ -136,12 +136,13 @@ def test_one_wheel_steers_one_simulator_and_then_the_one_that_remains(tmp_path: 
         while (state := drive.page.frame().state).get("stalled") != "gone":
             pass
         assert state["speed_mph"] == 8.0
-        drive.page.steer(0.75)
-        drive.page.send("ask")
-        drive.page.text("wheel")  # the wheel has the controls: it answers in order
-        second.tell(telemetry(speed="3.0"))
-        name, command = second.command()
-        assert (name, float(command["steering_angle"])) == ("steer", 0.75)
+        for touching, steering, expected in [(True, -0.5, 0.0), (False, 0.0, 0.0), (True, 0.75, 0.75)]:
+            drive.page.steer(steering, touching=touching)
+            drive.page.send("ask")
+            drive.page.text("wheel")  # the wheel has the controls: it answers in order
+            second.tell(telemetry(speed="3.0"))
+            name, command = second.command()
+            assert (name, float(command["steering_angle"])) == ("steer", expected)
         while (state := drive.page.frame().state)["speed_mph"] != 3.0:
             pass
         assert "stalled" not in state
