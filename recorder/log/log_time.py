@@ -43,8 +43,8 @@ class LogClock:
     """Gives every row and every event its time.
 
     A row's time is the simulated clock's, counted from the arrival of the first telemetry. Without this clock,
-    or if it stands, it is the telemetry's time of arrival. If the clock changes or starts again, the rows before
-    and after are `BREAK_NS` apart.
+    or if it stands, it is the telemetry's time of arrival. If the clock changes or starts again, or a drive has
+    ended, the rows before and after are at least `BREAK_NS` apart.
 
     Arguments are nanoseconds of `time.perf_counter_ns`. The wall clock is read only once, so that a change of it
     during a drive moves no row.
@@ -56,11 +56,16 @@ class LogClock:
         self._simulated_ns: int | None = None  # of the last row; None: this computer's clock is in use
         self._last_ns = 0
         self._has_rows = False
+        self._begins_drive = False
         self._standing = StandingClock()
 
     @property
     def stands(self) -> bool:
         return self._standing.stands
+
+    def end_drive(self) -> None:
+        """Note that the next row is of another car."""
+        self._begins_drive = True
 
     def row(self, received_ns: int, simulated_s: float | None) -> int:
         """The log time of a row. `simulated_s`: the simulated clock's time there."""
@@ -68,11 +73,11 @@ class LogClock:
             simulated_s = None
         simulated_ns = None if simulated_s is None else round(simulated_s * 1e9)
         clock_ns = received_ns if simulated_ns is None else simulated_ns
-        if self._is_another(simulated_ns):
+        if self._begins_drive or self._is_another(simulated_ns):
             earliest_ns = self._last_ns + (BREAK_NS if self._has_rows else 1)
             self._shift_ns = max(self._wall_ns + received_ns, earliest_ns) - clock_ns
         self._simulated_ns = simulated_ns
-        self._has_rows = True
+        self._has_rows, self._begins_drive = True, False
         return self._after_last(clock_ns + self._shift_ns)
 
     def event(self, happened_ns: int) -> int:

@@ -130,8 +130,6 @@ class _Listener:
     def disconnected(self, sid: str, reason: str) -> None:
         if (session := self._recorded.pop(sid, None)) is not None:
             session.disconnected(reason)
-            if self._person is not None:
-                self._person.wait_for_touch()
 
     def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
         self._last_s = time.monotonic()
@@ -279,6 +277,9 @@ class _Session:
     def disconnected(self, reason: str) -> None:
         self._separator, self._is_human = None, False
         self._human_driving.end(self._event(time.perf_counter_ns(), f"{DISCONNECTED}{reason}"))
+        if self._person is not None:  # the simulator that remains may drive at once
+            self._clock.end_drive()
+            self._person.wait_for_touch()
 
     def telemetry(self, data: object) -> Answer:
         received_ns = time.perf_counter_ns()
