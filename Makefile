@@ -33,7 +33,7 @@ install: $(VENV)/installed
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(call install-torch,$(PIP))
-	@echo "Installing PyTorch, Rerun and other packages into $(VENV): a few minutes, and 2 GB of disk (with CUDA: 6 GB)."
+	@echo "Installing PyTorch, Rerun and other packages into $(VENV): a few minutes, and 2 GB of disk (with CUDA: 6.5 GB)."
 	$(PIP) install -c constraints.txt -e .
 	@touch $@
 	@echo "Installed, $$(du -sh $(VENV) | cut -f1). The commands are in $(BIN): type $(BIN)/bc-demo,"

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
 from typing import Final
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 
 import run_examples
-from installed_toolkit import Toolkit, names_the_extra
+from installed_toolkit import Toolkit
 from lerobot_logs import write_drives
-from other_logs import CAMERA, WHEEL, angle, image, write_bag, write_mcap
+from other_logs import CAMERA, WHEEL, angle, image, write_mcap
 from repository import ROOT
 from tubs import record_2, write_tub_2
 from udacity import jpeg
@@ -128,52 +126,3 @@ def test_the_readmes_python_runs_as_it_stands(made: Toolkit) -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (code,) = run_examples.blocks(readme, "python")
     made.do("python", "-I", "-c", code.replace("epochs=4", 'epochs=1, network="small"'))
-
-
-@pytest.mark.parametrize(
-    ("extra", "words"),
-    [
-        ("onnx", ("bc-train", "export", "first", "--onnx", "first.onnx")),
-        ("onnx", ("bc-train", "export", "first", "--hub", "hub")),
-        ("onnx", ("bc-train", "export", "first", "--donkeycar", "car")),
-        ("tensorboard", ("bc-train", "--name", "new", "--tensorboard")),
-        ("torchvision", ("bc-train", "--name", "new", "--network", "resnet18")),
-        ("scale", ("bc-index", "--ray")),
-        ("scale", ("bc-log", "ls", "s3://bucket/sessions")),
-        ("scale", ("bc-index", "--sessions", "s3://bucket/sessions")),
-        ("ros", ("bc-record", "ros", "--from", "BAG", "--image", CAMERA, "--steering", "/cmd_vel.angular.z")),
-    ],
-)
-def test_a_missing_extra_is_named_before_any_work(
-    made: Toolkit, tmp_path: Path, extra: str, words: tuple[str, ...]
-) -> None:
-    if "BAG" in words:
-        bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
-        words = tuple(str(bag) if word == "BAG" else word for word in words)
-    assert names_the_extra(made.refused(*words), extra)
-
-
-def test_an_extra_makes_its_commands_work(extra: tuple[str, Toolkit], tmp_path: Path) -> None:
-    name, toolkit = extra
-    if name == "onnx":
-        toolkit.do("bc-train", "export", "first", "--onnx", tmp_path / "first.onnx")
-        toolkit.do("bc-train", "export", "first", "--hub", tmp_path / "hub", "--license", "mit")
-        assert (tmp_path / "first.onnx").stat().st_size > 100_000
-    elif name == "ros":
-        bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
-        flags = ("--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1)
-        toolkit.do("bc-record", "bag", "--from", bag, *flags, "--sessions", tmp_path)
-    elif name == "scale":
-        toolkit.do("bc-index", "--index", tmp_path / "index", "--block-s", 2, "--gap-s", 0, "--ray")
-    elif name == "tensorboard":
-        toolkit.do("bc-train", "--name", "curves", "--network", "small", "--epochs", 1, "--tensorboard")
-        assert list((toolkit.folder / "runs/curves/tensorboard").iterdir())
-    else:
-        small = ("--picture-px", 64, 48, "--epochs", 1)
-        toolkit.do("bc-train", "--name", "residual", "--network", "resnet18", *small)
-
-
-def test_nothing_else_is_an_extra() -> None:
-    assert set(PROJECT["optional-dependencies"]) - {"dev", "docs"} == {
-        "onnx", "ros", "scale", "tensorboard", "torchvision",
-    }  # fmt: skip
