@@ -17,9 +17,7 @@ from common.errors import UsageError, as_user_error, counted
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
-from recorder.log.known_lag import lag_path
 from recorder.log.logs_in_folder import logs_at, logs_in
-from recorder.log.tags import tags_path
 from recorder.log_flag import named_log
 
 
@@ -50,6 +48,8 @@ class CopyLogs:
 def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = False, prog: str = "bc-log") -> int:
     """Copy logs and folders of logs, also after a failure; the worst of the exit codes."""
     from common.progress import progress_bar, progress_task
+    from recorder.log.known_lag import lag_path
+    from recorder.log.tags import tags_path
 
     pairs = _pairs(places, to)
     for log, target in pairs:

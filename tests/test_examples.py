@@ -100,7 +100,10 @@ def test_pauses_make_ones_own_simulator_act_no_later(tmp_path: Path, monkeypatch
         over.set()
         serving.join(PATIENCE_S)
     with Log(log) as drive:
-        driven = drive.vehicle()["steering"].to_pylist()
-        sent = [command.steering for _, command in drive.commands()]
-        assert {command.in_flight for _, command in drive.commands()} == {1}
+        vehicle = drive.vehicle()
+        steering = dict(zip(vehicle["row"].to_pylist(), vehicle["steering"].to_pylist(), strict=True))
+        commands = list(drive.commands())  # rows that were left unanswered have none
+    driven = [steering[message.sequence] for message, _ in commands]
+    sent = [command.steering for _, command in commands]
+    assert {command.in_flight for _, command in commands} == {1}
     np.testing.assert_allclose(driven[1:], sent[:-1], atol=1e-4)
