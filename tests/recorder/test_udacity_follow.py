@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import struct
 import sys
 import threading
 import time
@@ -54,7 +55,7 @@ def growing(part: Path) -> dict[str, list[tuple[int, Any]]]:
             reader = NonSeekingReader(stream, decoder_factories=[DecoderFactory()])
             for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
                 by_topic[channel.topic].append((message.sequence, decoded))
-        except (McapError, EOFError):  # it has no end yet
+        except (McapError, EOFError, struct.error):  # it has no end yet
             pass
     return by_topic
 
