@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from waiting import wait_until
 from workbench import served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Route
 
 
 def test_a_double_click_starts_one_job(browser: Browser, tmp_path: Path) -> None:
@@ -65,6 +66,11 @@ def test_rows_to_trim_are_still_there_after_an_error(browser: Browser, tmp_path:
         assert page.input_value("#make-trim [name=first]") == "0"  # selected rows replace them
 
 
+def answer_slowly(route: Route) -> None:
+    time.sleep(0.5)
+    route.fulfill()
+
+
 def test_a_form_with_values_shows_the_whole_command(browser: Browser, tmp_path: Path) -> None:
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/jobs?start=train&epochs=3") as page:
         page.wait_for_selector("#command-train:text('--epochs=3')")
@@ -73,6 +79,10 @@ def test_a_form_with_values_shows_the_whole_command(browser: Browser, tmp_path: 
         page.fill("#form-train [name=on]", "-x")
         page.click("#form-train button.main")
         page.wait_for_selector("h1:text('Unprocessable Entity')")
+        page.route("**/slow.png", answer_slowly)  # a browser restores the fields after it
+        page.add_init_script(
+            "document.addEventListener('DOMContentLoaded', () => (new Image().src = '/slow.png'))"
+        )
         page.go_back()
         page.wait_for_selector("#command-train:text('begins with a hyphen')")
         assert page.is_visible("#form-train [name=dropout]")
