@@ -9,11 +9,11 @@ from typing import Annotated, Any, Final, Literal, get_args
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.tags import EXCLUDE
+from recorder.rows.condition import lists_with
 from recorder.rows.row_quality import ROW_FLAGS, RowFlag, States, row_flags
 from recorder.rows.steering_habits import LagFinding
 
@@ -117,12 +117,3 @@ def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.List
 
 def is_excluded(frames: pa.Table) -> NDArray[np.bool_]:
     return lists_with(frames["tags"], EXCLUDE)
-
-
-def lists_with(lists: pa.ChunkedArray, *names: str) -> NDArray[np.bool_]:
-    """A mask of the lists of strings that contain one of these names."""
-    combined = lists.combine_chunks()
-    mask = np.zeros(len(combined), np.bool_)
-    at = pc.list_parent_indices(combined).filter(pc.is_in(pc.list_flatten(combined), pa.array(names)))
-    mask[at.to_numpy()] = True
-    return mask

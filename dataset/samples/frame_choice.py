@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from dataset.config import IndexConfig
 from dataset.frames.drivers import DRIVERS, is_taken
-from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
+from dataset.frames.frame_flags import is_excluded, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionCounts, SessionLabels
-from recorder.rows.condition import rows_where
+from recorder.rows.condition import lists_with, rows_where
 from recorder.rows.row_quality import NOT_LEARNT
 
 

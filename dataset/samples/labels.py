@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from common.car import SPEED_RANGE_MPH
 from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.drivers import DRIVERS
-from dataset.frames.frame_flags import is_excluded, is_unusable, lists_with
+from dataset.frames.frame_flags import is_excluded, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
+from recorder.rows.condition import lists_with
 from recorder.rows.label_plan import LabelPlan
 from recorder.rows.row_quality import GAP_S, NOT_LEARNT
 

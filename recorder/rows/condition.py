@@ -202,7 +202,8 @@ class _Values:
             if isinstance(text, pa.Scalar) and _kind(column) == "text":
                 return pc.match_substring(column, text.as_py())
             if isinstance(text, pa.Scalar) and _kind(column) == "list":
-                return _lists_with(column, text)
+                holds = pa.array(lists_with(column, text.as_py()), mask=pc.is_null(column).to_numpy())
+                return pa.chunked_array([holds])
         # without a comma, parentheses are no tuple
         one_of = right.elts if isinstance(right, ast.Tuple) else [right]
         if not one_of or not all(isinstance(part(one), pa.Scalar) for one in one_of):
@@ -266,11 +267,13 @@ def _known(values: Values) -> Values:
     return pc.if_else(pc.is_nan(values), pa.scalar(None, values.type), values)
 
 
-def _lists_with(column: pa.ChunkedArray, text: pa.Scalar) -> pa.ChunkedArray:
-    """Which lists contain a text; null for null."""
-    holds = np.zeros(len(column), np.bool_)
-    holds[pc.list_parent_indices(column).filter(pc.equal(pc.list_flatten(column), text)).to_numpy()] = True
-    return pa.chunked_array([pa.array(holds, mask=pc.is_null(column).to_numpy())])
+def lists_with(lists: pa.ChunkedArray, *texts: str) -> Mask:
+    """The lists (N,) of texts that contain one of these texts."""
+    combined = lists.combine_chunks()
+    holds = np.zeros(len(combined), np.bool_)
+    at = pc.list_parent_indices(combined).filter(pc.is_in(pc.list_flatten(combined), pa.array(texts)))
+    holds[at.to_numpy()] = True
+    return holds
 
 
 def _shown(node: ast.expr) -> str:

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.errors import printable
 from common.stretches import stretches
-from dataset.frames.frame_flags import ImageFindings, Paired, PictureFlag, frame_flags, lists_with
+from dataset.frames.frame_flags import ImageFindings, Paired, PictureFlag, frame_flags
 from dataset.frames.pairing import paired_rows
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
 from recorder.log.tagged_rows import TaggedRows
 from recorder.log.tags import EXCLUDE, FINE, Tag
+from recorder.rows.condition import lists_with
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
 from recorder.topics import QUALITY_METADATA, camera_topic
