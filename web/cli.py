@@ -11,7 +11,7 @@ from common.allowed_places import allow_places
 from common.command import DONE, check_port, run_command
 from common.errors import UsageError, counted, printable
 from common.interrupts import stop_signals
-from common.location import Location, Url
+from common.location import Location, Url, shown_address
 from common.location_flag import LocationFlag
 from common.output import print_message, print_result
 from recorder.server.allowed_hosts import is_loopback
@@ -65,8 +65,7 @@ def serve(config: Web, page: str = "") -> int:
     with stop_signals() as stopped, workbench_app(folders, config.host, token, cache, once=once) as app:
         server = WorkbenchServer(app, config.host, config.port)
         server.start()
-        name = f"[{config.host}]" if ":" in config.host else config.host
-        address = f"http://{name}:{server.port}/{page}"
+        address = f"http://{shown_address(config.host, server.port)}/{page}"
         try:
             print_result(f"{address}?{TOKEN}={token}" if token else address)
             print_message("open this address in a browser; Ctrl-C ends it")

@@ -24,6 +24,7 @@ import websocket
 from websocket import ABNF
 
 from common.car import MAX_STEERING_DEG, Camera
+from common.location import shown_address
 
 FRAME_BYTES: Final = 1016  # payload of one websocket frame (websocket-sharp's FragmentLength)
 PING_S: Final = 25.0
@@ -81,8 +82,7 @@ class SimulatorClient:
         with this locale does. ``max_steering_deg`` is the angle of the wheels at steering 1. ``in_flight`` 2 sends
         the second telemetry before the first answer, as the Unity client does; 1 waits for each answer."""
         self._address = host.strip("[]"), port
-        host = f"[{self._address[0]}]" if ":" in host else host  # IPv6
-        self.url = f"ws://{host}:{port}/socket.io/?EIO=4&transport=websocket"
+        self.url = f"ws://{shown_address(*self._address)}/socket.io/?EIO=4&transport=websocket"
         self.wait_s = wait_s
         self.decimal_comma = decimal_comma
         self.max_steering_deg = max_steering_deg
