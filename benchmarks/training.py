@@ -116,13 +116,11 @@ def main() -> None:
 def refuse_without_keras(python: str) -> None:
     """End with a line if this Python does not exist, or lacks Keras."""
     try:
-        found = (
-            subprocess.run([python, "-c", "import cv2, keras"], capture_output=True, check=False).returncode == 0
-        )
-    except OSError:
-        found = False
-    if not found:
-        raise SystemExit(f"{python}: no Python with Keras; `{Path(__file__).name} --help` says how to make one")
+        subprocess.run([python, "-c", "import cv2, keras"], capture_output=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        raise SystemExit(
+            f"{python}: no Python with Keras; `{Path(__file__).name} --help` says how to make one"
+        ) from None
 
 
 def write_pictures(index: Path, folder: Path, count: int) -> int:
