@@ -125,4 +125,4 @@ def test_a_simulator_connects_from_another_process(made: Toolkit) -> None:
 def test_the_readmes_python_runs_as_it_stands(made: Toolkit) -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (code,) = run_examples.blocks(readme, "python")
-    made.do("python", "-I", "-c", code.replace("epochs=4", 'epochs=1, network="small"'))
+    made.do("python", "-I", "-c", code.replace("epochs=1", 'epochs=1, network="small"'))
