@@ -63,6 +63,16 @@ class Loop:
         assert self.client.command() == answer_to(number)
 
 
+def pushed_loop(book: Pushing, in_flight: int) -> Loop:
+    """A simulator that has all its answers, and then one command more."""
+    loop = Loop(book.server.port, in_flight)
+    for number in range(in_flight):
+        loop.expect_answer_to(number)
+    book.push()
+    assert loop.client.command() == steered(PUSHED)
+    return loop
+
+
 def at_once(client: RawClient) -> RawClient:
     """What it sends is there when it has sent it."""
     client.stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -78,10 +88,7 @@ def test_a_client_is_not_answered_after_its_ping_timeout(monkeypatch: pytest.Mon
     """Else it would count as another simulator when it connects again."""
     book = Pushing()
     with serving(book):
-        loop = Loop(book.server.port, 1)
-        loop.expect_answer_to(0)
-        book.push()
-        assert loop.client.command() == steered(PUSHED)
+        loop = pushed_loop(book, 1)
         loop.tell()
         wait_until(lambda: has_held(book))
         connection = book.server._connection(book.sid)
@@ -121,11 +128,7 @@ def test_a_pause_leaves_as_many_in_flight_as_before(in_flight: int) -> None:
     """The simulator pauses with all answers in hand, and is sent one command more."""
     book = Pushing()
     with serving(book):
-        loop = Loop(book.server.port, in_flight)
-        for number in range(in_flight):
-            loop.expect_answer_to(number)
-        book.push()
-        assert loop.client.command() == steered(PUSHED)
+        loop = pushed_loop(book, in_flight)
         loop.tell(in_flight + 1)  # it goes on
         for number in range(in_flight + 1, 2 * in_flight + 1):  # all but the first
             loop.expect_answer_to(number)
@@ -139,11 +142,7 @@ def test_the_command_that_a_silent_client_needed_costs_it_no_answer() -> None:
     """It had lost all telemetries: one is in flight again, which is held for a moment, and answered."""
     book = Pushing()
     with serving(book):
-        loop = Loop(book.server.port, 2)
-        for number in range(2):
-            loop.expect_answer_to(number)
-        book.push()
-        assert loop.client.command() == steered(PUSHED)
+        loop = pushed_loop(book, 2)
         for number in range(2, 6):
             loop.tell()
             loop.expect_answer_to(number)
@@ -198,10 +197,7 @@ def test_a_burst_leaves_two_in_flight_and_all_reach_the_handler() -> None:
 def test_a_held_telemetry_reaches_the_handler_when_its_client_goes(hangs_up: bool) -> None:
     book = Pushing()
     with serving(book) as running:
-        loop = Loop(book.server.port, 1)
-        loop.expect_answer_to(0)
-        book.push()
-        assert loop.client.command() == steered(PUSHED)
+        loop = pushed_loop(book, 1)
         loop.tell()
         wait_until(lambda: has_held(book))
         if hangs_up:
@@ -217,10 +213,7 @@ def test_a_held_telemetry_reaches_the_handler_when_its_client_goes(hangs_up: boo
 def test_a_client_that_connects_again_owes_nothing() -> None:
     book = Pushing()
     with serving(book):
-        loop = Loop(book.server.port, 1)
-        loop.expect_answer_to(0)
-        book.push()
-        assert loop.client.command() == steered(PUSHED)
+        loop = pushed_loop(book, 1)
         loop.client.vanish()
         wait_until(lambda: "disconnected" in book.calls)
         again = Loop(book.server.port, 2)
