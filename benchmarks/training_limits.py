@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -131,7 +132,7 @@ def print_gpu(folder: Path) -> None:
     )
     for number, (name, precision) in enumerate(trainings):
         clock, start_s = Clock(), time.perf_counter()
-        config = TrainConfig(device="cuda", precision=precision)
+        config = replace(TrainConfig.of("altered"), device="cuda", precision=precision)
         train(index, folder / str(number), config, [clock], show_progress=False)
         total_s = time.perf_counter() - start_s
         later_s = clock.done_s[-1] - clock.done_s[0]
@@ -145,7 +146,7 @@ def print_gpu(folder: Path) -> None:
 def print_products(_folder: Path) -> None:
     """Print the times of layers and matrix products: processor time of one thread, which other programs disturb
     least; in each round, all take turns."""
-    config = TrainConfig(device="cpu", threads=1)
+    config = replace(TrainConfig.of("altered"), device="cpu", threads=1)
     machine = choose_machine(config)
     network = SteeringNetwork(config.dropout, standardized=True).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     pictures = torch.randint(0, 256, (config.batch, 128, 128, 3), dtype=torch.uint8).permute(0, 3, 1, 2)

@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -145,7 +146,8 @@ def main() -> None:
     parser.add_argument("--picture-memory-mb", type=int, default=1024)
     parser.add_argument("--threads", type=int, default=0)
     chosen = parser.parse_args()
-    config = TrainConfig(
+    config = replace(
+        TrainConfig.of("altered"),
         epochs=1_000_000,
         device="cpu",
         precision=chosen.precision,

@@ -21,8 +21,8 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parent.parent
 PAGES: Final = ("README.md", "docs/commands.md", "docs/index-format.md", "docs/log-format.md")
 SHORTER: Final = {
-    "--epochs 4": "--epochs 1",
-    "epochs=4": "epochs=1",
+    "--name first ": "--name first --epochs 1 ",
+    "seed=1": "epochs=1",
     "--simulator lake": "--laps 0.1 --simulator lake",
 }
 

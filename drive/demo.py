@@ -33,8 +33,8 @@ class Demo:
     """Folder to work in, which must not hold a project; by default demo/DATE."""
     quick: bool = False
     """Only a seventh of a lap and a small network: two minutes."""
-    epochs: int = 4
-    """Epochs of training; with more, it drives better."""
+    epochs: int = 0
+    """Epochs of training; 0: as many as `bc-train` chooses."""
     laps: float = 1.0
     """Laps that the network drives on each track."""
     share: float = 0.5
@@ -47,16 +47,16 @@ _MADE: Final = ("sessions", "index", "runs", "drives")
 
 def commands_of(config: Demo) -> list[str]:
     tracks: tuple[str, ...] = ("lake", "mountain")
-    share, laps, epochs = config.share, config.laps, config.epochs
+    share, laps = config.share, config.laps
     network = ""
     if config.quick:
-        tracks, share, laps, epochs = ("lake",), 0.15, 0.15, 5
+        tracks, share, laps = ("lake",), 0.15, 0.15
         network = " --network small"
     drive = f"drives/demo-{tracks[-1]}-10mph"
     return [
         *(f"bc-record {track} --track {track} --laps {share:g}" for track in tracks),
         "bc-index",
-        f"bc-train --name demo{network} --epochs {epochs}",
+        f"bc-train --name demo{network}{f' --epochs {config.epochs}' if config.epochs else ''}",
         f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}",
         f"bc-play {drive}.mcap --save {drive}.rrd",
     ]
@@ -104,8 +104,8 @@ def _refuse_unusable_settings(config: Demo, folder: Path) -> None:
         raise UserError(f"{folder}: has {', '.join(existing)} already; give another --folder")
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: a file, no folder to work in; give another --folder")
-    if not 1 <= config.epochs <= 10**6:
-        raise UsageError(f"--epochs {config.epochs}: expected a number from 1 to 1,000,000")
+    if not 0 <= config.epochs <= 10**6:
+        raise UsageError(f"--epochs {config.epochs}: expected a number from 0 to 1,000,000")
     if not 0 < config.laps <= 1000:
         raise UsageError(f"--laps {config.laps:g}: expected a number above 0 and up to 1,000")
     if not 0.05 <= config.share <= 1000:

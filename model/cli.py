@@ -113,7 +113,8 @@ def _try_network(config: Train, run: Path, init: Path | None, like: Path | None)
     parameters = network.try_out(picture, machine.device)
     where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
     name = "" if network.name == "original" else f"{printable(network.name)}, "
-    return f"{name}{parameters:,} parameters, {counted(settings.epochs, 'epoch')}, {where}"
+    passes = f"{counted(settings.epochs, 'epoch')}, " if settings.epochs else ""
+    return f"{name}{parameters:,} parameters, {passes}{where}"
 
 
 def _print_outcome(trained: Trained, settings: TrainConfig) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Literal
 
 from common.recipe import Recipe
@@ -18,8 +18,13 @@ Answers = Literal["natural", "as-learnt"]
 Light = Literal["standardized", "as-seen"]
 Keep = Literal["last", "driving-error", "balanced-rmse", "rmse"]
 
+ENOUGH_STEPS: Final = 150
+"""After so many steps, a network drives (docs/studies/speedrun.md)."""
+MOST_PASSES: Final = 10
+"""Recordings that are so short that they would need more passes lack other things than passes."""
+
 _RANGES: Final = {
-    "epochs": (1, 10**6),
+    "epochs": (0, 10**6),
     "batch": (1, 10**6),
     "average_steps": (1, 10**6),
     "seed": (0, 2**63 - 1),
@@ -36,6 +41,9 @@ class TrainConfig:
 
     EARLIER: ClassVar[Mapping[str, Any]] = {
         "recipe": "original",
+        "epochs": 10,
+        "batch": 256,
+        "rate": 1e-4,
         "average_steps": 1,
         "answers": "as-learnt",
         "keep": "balanced-rmse",
@@ -49,8 +57,8 @@ class TrainConfig:
         "network_args target_weights picture_px crop_rows channels average_steps"
         " answers keep light dropout precision micro_batch threads picture_memory_mb"
     )
-    recipe: Recipe = "altered"
-    """Defaults for learning from people, with or without altered pictures, or the original project's."""
+    recipe: Recipe = "large-steps"
+    """Defaults: large-steps; earlier ones, with altered pictures or without; or the original project's."""
     network: str = "original"
     """original, pilotnet, small, resnet18, FILE.py:CLASS or MODULE:CLASS."""
     network_args: tuple[str, ...] = ()
@@ -69,11 +77,11 @@ class TrainConfig:
     """Random changes to every picture in every epoch: all, or some."""
     light: Light = "standardized"
     """Brightness and contrast of pictures: the same in all, or as seen. Your own network sees them as they are."""
-    epochs: int = 10
-    """Passes over the balanced samples."""
-    batch: int = 256
+    epochs: int = 0
+    """Passes over the balanced samples; 0: 1 to 10, enough for 150 steps."""
+    batch: int = 64
     """Samples in a step of the optimizer."""
-    rate: float = 1e-4
+    rate: float = 1e-3
     """Learning rate of Adam."""
     average_steps: int = 100
     """Average the weights over about this many steps; 1: off."""
@@ -102,9 +110,12 @@ class TrainConfig:
     def of(cls, recipe: Recipe) -> TrainConfig:
         if recipe == "original":
             return cls(**cls.EARLIER)
-        if recipe == "people":
-            return cls(recipe=recipe, keep="driving-error", alter_each_epoch=("none",), light="as-seen")
-        return cls()
+        if recipe == "large-steps":
+            return cls()
+        altered = cls(recipe="altered", epochs=10, batch=256, rate=1e-4)
+        if recipe == "altered":
+            return altered
+        return replace(altered, recipe=recipe, keep="driving-error", alter_each_epoch=("none",), light="as-seen")
 
     def __post_init__(self) -> None:
         """Raises ValueError, which names the flag, for an invalid value."""
@@ -140,6 +151,13 @@ class TrainConfig:
             raise ValueError(f"--rate {self.rate:g}: expected a number above 0")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"--dropout {self.dropout:g}: expected a number from 0 to 1 (excluded)")
+
+    def with_passes(self, samples: int) -> TrainConfig:
+        """These settings with a number of epochs, if they leave it open, for an index with so many training
+        samples."""
+        steps = math.ceil(samples / self.batch) or 1
+        passes = min(MOST_PASSES, math.ceil(ENOUGH_STEPS / steps))
+        return self if self.epochs else replace(self, epochs=passes)
 
     @property
     def epoch_alterations(self) -> tuple[EpochAlteration, ...]:

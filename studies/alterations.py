@@ -3,8 +3,8 @@
 python studies/alterations.py FOLDER sessions/*.mcap [--network small] [--recipes people altered] [--seeds 0 1 2]
     [--parts three drive] [--last]
 
-Recipes: "people"; "altered", the default; "as seen" is "altered" with --light as-seen; "NAME alone" and "all but
-NAME" have one alteration, and all others; "neither" is "all but mix" with --light as-seen.
+Recipes: "people"; "altered"; "large-steps", the default; "as seen" is "altered" with --light as-seen; "NAME
+alone" and "all but NAME" have one alteration, and all others; "neither" is "all but mix" with --light as-seen.
 
 "three": for each person, a network trained on all others is measured on this person. Frames of crashes are left
 out. Errors are divided by those of always predicting the mean of the same frames. "drive": a network trained on
@@ -38,10 +38,11 @@ from model import TrainConfig, load_pilot, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.training.trainer import Trained
 
-ALTERED: Final = TrainConfig()
+ALTERED: Final = TrainConfig.of("altered")
 RECIPES: Final[Mapping[str, TrainConfig]] = {
     "people": TrainConfig.of("people"),
     "altered": ALTERED,
+    "large-steps": TrainConfig(),
     "as seen": replace(ALTERED, light="as-seen"),
     "neither": replace(ALTERED, light="as-seen", alter_each_epoch=EARLIER_ALTERATIONS),
     **{f"{name} alone": replace(ALTERED, alter_each_epoch=(name,)) for name in EPOCH_ALTERATIONS},

@@ -36,7 +36,7 @@ from toolkit_command import output_of
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from web.jobs.wheels import EPOCHS_MORE, TAKEOVERS_RECIPE, quick_epochs
+from web.jobs.wheels import EPOCHS_MORE, TAKEOVERS_RECIPE
 
 RECORDED: Final = ("lake", "mountain")
 DRIVEN: Final = ("lake", "mountain", "random:1", "random:2", "random:3")
@@ -221,14 +221,10 @@ class Study:
 
     def _train(self, run: str, words: list[str], seed: int, recordings: tuple[str, ...]) -> Result:
         """Train as the page's button does."""
-        rows = sum((self.result(name) or {})["rows"] for name in recordings)
-        is_more = "--takeovers" in words
-        epochs = EPOCHS_MORE if is_more else quick_epochs(rows)
-        recipe = ("--recipe", TAKEOVERS_RECIPE) if is_more else ()
+        how = ("--recipe", TAKEOVERS_RECIPE, "--epochs", EPOCHS_MORE) if "--takeovers" in words else ()
         self._make_way(run)
-        settings = (*recipe, "--name", run, "--seed", seed, "--epochs", epochs)
-        printed = output_of(self.folder, "bc-train", *settings, *words)
-        return {"epochs": epochs, "printed": printed[-2000:]}
+        printed = output_of(self.folder, "bc-train", *how, "--name", run, "--seed", seed, *words)
+        return {"printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
         """Move away the run and the index of a killed training."""

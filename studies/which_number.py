@@ -43,6 +43,7 @@ RECORDED_LAPS: Final = {LEARNT_SEED: 0.5, HELD_OUT_SEED: 0.25}
 SMALL: Final = ("--per-bin", "150")  # 3,750 samples an epoch: half a minute for four
 ORIGINAL: Final = ("--recipe", "original")
 PEOPLE: Final = ("--recipe", "people")
+ALTERED: Final = ("--recipe", "altered")
 TO_THE_END: Final = (1, 4, 10)  # ten are the default
 
 
@@ -73,10 +74,10 @@ RECIPES: Final = {
     "people, a tenth": Recipe((*PEOPLE, "--per-bin", "60", "--where", "row < 110"), PEOPLE),
     "expert, original": Recipe((*ORIGINAL, *SMALL), ORIGINAL, driver="expert"),
     "expert, people": Recipe((*PEOPLE, *SMALL), PEOPLE, driver="expert"),
-    "altered": Recipe((), (), epochs=TO_THE_END),
-    "altered, a quarter": Recipe((*SMALL, "--where", "row < 280"), (), epochs=TO_THE_END),
-    "altered, a tenth": Recipe(("--per-bin", "60", "--where", "row < 110"), (), epochs=TO_THE_END),
-    "expert, altered": Recipe(SMALL, (), driver="expert", epochs=TO_THE_END),
+    "altered": Recipe((), ALTERED, epochs=TO_THE_END),
+    "altered, a quarter": Recipe((*SMALL, "--where", "row < 280"), ALTERED, epochs=TO_THE_END),
+    "altered, a tenth": Recipe(("--per-bin", "60", "--where", "row < 110"), ALTERED, epochs=TO_THE_END),
+    "expert, altered": Recipe(SMALL, ALTERED, driver="expert", epochs=TO_THE_END),
 }
 
 

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from common.errors import counted, printable
+from model.config import ENOUGH_STEPS
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_numbers import RunNumbers
 
 FEW_FRAMES: Final = 300
 """Half a minute at ten frames a second: six blocks of 5 s, within which errors are alike. Fewer blocks give no
 reliable interval (`model.evaluation.differences`)."""
-FEW_EPOCHS: Final = 4
-"""Networks of the study drove after 4 epochs; none drove after 1. With the default recipe, networks of only 220
-rows left the road 41 and 53 times after one epoch, and at most twice after ten (docs/studies/which-number.md)."""
 STILL_IMPROVING: Final = 0.02
 """Relative fall of the driving error in the last epoch that calls for more epochs."""
 FEW_TURNS: Final = 500
@@ -75,7 +73,7 @@ def has_worse_answers(numbers: RunNumbers) -> Advice | None:
     kept = numbers.kept
     if (
         kept is None
-        or numbers.learnt < FEW_EPOCHS
+        or numbers.is_short
         or kept.learnt is None
         or kept.answers == AnswerScale()
         or kept.measures.frames < FEW_FRAMES
@@ -117,7 +115,7 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
     """The network left the road: an expert takes over where it errs, and it learns from the takeovers
     (docs/studies/takeovers.md)."""
     failed = [drive for drive in numbers.drives if _interventions(drive)]
-    if not failed or numbers.learnt < FEW_EPOCHS:
+    if not failed or numbers.is_short:
         return None
     worst = max(failed, key=_interventions)
     track, speed = str(worst["track"]), float(worst["set_speed_mph"])
@@ -135,10 +133,10 @@ def is_still_improving(numbers: RunNumbers) -> Advice | None:
         return None
     errors = [epoch.measures.driving_error for epoch in epochs]
     is_best = errors[-1] == min(errors)
-    if len(epochs) < FEW_EPOCHS:
-        why = "the last one is still the best" if is_best else f"networks of fewer than {FEW_EPOCHS} seldom drive"
-        return Advice(f"{counted(len(epochs), 'epoch')}: {why}", more)
-    if not is_best:
+    if numbers.is_short:
+        learnt = f"{counted(len(epochs), 'epoch')} of {numbers.steps / numbers.learnt:,.0f} steps"
+        return Advice(f"{learnt}: networks of fewer than {ENOUGH_STEPS} steps seldom drive", more)
+    if not is_best or len(errors) == 1:
         return None
     before, last = errors[-2:]
     if before - last > STILL_IMPROVING * before:

@@ -15,6 +15,7 @@ import msgspec
 
 from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG
 from common.errors import printable
+from model.config import ENOUGH_STEPS, MOST_PASSES
 from model.metrics import BinErrors, Measures
 from model.runs.enough_to_drive import Drivable, Hand, drivable
 from model.runs.history_lines import parse_measures
@@ -85,6 +86,7 @@ class StoredIndex(msgspec.Struct):
 
 class StoredTraining(msgspec.Struct):
     epochs: int = 0
+    batch: int = 256
     recipe: str = "original"
     seed: int = 0
     patience: int = 0
@@ -112,6 +114,19 @@ class RunNumbers:
     def learnt(self) -> int:
         """The last epoch. `epochs` may lack some before it: a long history is thinned, a line may be broken."""
         return self.epochs[-1].epoch if self.epochs else 0
+
+    @property
+    def steps(self) -> float:
+        """The steps of the optimizer; NaN without an epoch."""
+        if not self.epochs:
+            return math.nan
+        last = self.epochs[-1]
+        return self.learnt * last.seconds * last.samples_per_s / self.training.batch
+
+    @property
+    def is_short(self) -> bool:
+        """Too few steps to drive, although more passes would help."""
+        return self.learnt < MOST_PASSES and self.steps < 0.95 * ENOUGH_STEPS
 
     @property
     def kept(self) -> Epoch | None:

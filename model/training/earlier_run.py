@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,7 +47,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
                 f"{run}: began with {flag} {value} and keeps it when resumed; for {flag} {wanted[name]} train"
                 f" another run from its weights: --init {run_argument(run)}"
             )
-    return config
+    return config if config.epochs else replace(config, epochs=before.epochs)
 
 
 def refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) -> None:

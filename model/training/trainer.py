@@ -111,6 +111,7 @@ def train(
         contextlib.ExitStack() as stack,
     ):
         samples.refuse_missing(config.targets)
+        config = config.with_passes(len(samples.of_split("train", ["session"])))
         notices = _target_notices(samples, config.targets)
         guarded = Listeners(listeners, notices)
         stack.callback(guarded.close)

@@ -29,10 +29,10 @@ def trained(folder: Path, *flags: object) -> dict[str, Any]:
     return config
 
 
-@pytest.mark.parametrize("recipe", ["altered", "people", "original"])
+@pytest.mark.parametrize("recipe", ["large-steps", "altered", "people", "original"])
 def test_the_recipe_is_that_of_the_training_and_of_its_index(tmp_path: Path, recipe: Any) -> None:
     toy_index(tmp_path)
-    config = trained(tmp_path, *(["--recipe", recipe] if recipe != "altered" else []))
+    config = trained(tmp_path, *(["--recipe", recipe] if recipe != "large-steps" else []))
     assert settings_from(TrainConfig, config["training"]) == replace(
         TrainConfig.of(recipe), network="small", epochs=1, threads=1
     )
@@ -71,4 +71,4 @@ def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytes
     flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]
     assert call(bc_index, *flags, "--recipe", "original") in (0, 3)
     trained(tmp_path)
-    assert "built with the recipe original, trained with altered" in capsys.readouterr().err
+    assert "built with the recipe original, trained with large-steps" in capsys.readouterr().err

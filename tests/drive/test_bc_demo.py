@@ -18,7 +18,7 @@ from udacity import call
 from waiting import wait_until
 
 
-@pytest.mark.parametrize("flag", ["--epochs=0", "--laps=nan", "--share=0"])
+@pytest.mark.parametrize("flag", ["--epochs=-1", "--laps=nan", "--share=0"])
 def test_what_would_fail_after_minutes_is_refused_before_the_first_step(
     flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

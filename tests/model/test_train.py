@@ -67,6 +67,25 @@ def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], ind
     assert not list(run.glob("*.part"))
 
 
+@pytest.mark.parametrize(
+    ("samples", "batch", "passes"),
+    [(64 * 150, 64, 1), (64 * 149, 64, 2), (64 * 30, 64, 5), (1, 64, 10), (10**6, 64, 1), (10_470, 256, 4)],
+)
+def test_a_short_recording_is_passed_more_often(samples: int, batch: int, passes: int) -> None:
+    assert TrainConfig(batch=batch).with_passes(samples).epochs == passes
+    assert TrainConfig(batch=batch, epochs=3).with_passes(samples).epochs == 3
+
+
+def test_a_run_keeps_the_passes_that_its_samples_needed(index: Path, tmp_path: Path) -> None:
+    settings, run = replace(SETTINGS, epochs=0, batch=1), tmp_path / "run"
+    with Samples(index) as samples:
+        expected = settings.with_passes(len(samples.rows_of_split("train")))
+    assert 1 < expected.epochs < 10
+    assert len(train(index, run, settings).epochs) == expected.epochs
+    assert settings_from(TrainConfig, json.loads((run / "config.json").read_text())["training"]) == expected
+    assert train(index, run, settings, resume=True).epochs == []
+
+
 def test_an_epoch_of_many_batches_has_no_more_steps_than_readers_take(
     index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,7 +44,7 @@ def measured(error: float, recorded: np.ndarray[Any, Any] = RECORDED) -> Measure
 
 
 def epoch(number: int, error: float, **changed: Any) -> Epoch:
-    return Epoch(number, 0.1, 0.1, measured(error), True, 1.0, 100.0, **changed)
+    return Epoch(number, 0.1, 0.1, measured(error), True, 100.0, 100.0, **changed)
 
 
 def sound(**changed: Any) -> dict[str, Any]:
@@ -245,7 +245,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         ),
         (
             numbers(sound() | {"training": {"epochs": 2}}, [WEAK[0], replace(epoch(2, 0.4), is_best=False)]),
-            "networks of fewer than 4 seldom drive",
+            "2 epochs of 39 steps: networks of fewer than 150 steps seldom drive",
             "bc-train --resume first --epochs 10",
         ),
         (

@@ -16,7 +16,6 @@ from logs import write_log
 from pages import drop, open_session, opened_page
 from udacity import make_recording, paths
 from waiting import wait_until
-from web.jobs import wheels
 from workbench import served
 
 if TYPE_CHECKING:
@@ -65,7 +64,6 @@ def test_five_clicks_and_a_drop_import_train_and_drive(
 ) -> None:
     """By the real commands. The pages of November 24 took nineteen clicks and keys at least."""
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(wheels, "quick_epochs", lambda rows: 1)
     rows = range(40)
     lines = [f"{paths(row)},{0.1 * (row % 5 - 2)},0.5,0,9.5\n" for row in rows]
     make_recording(tmp_path / "mine" / "lake", "".join(lines), rows)

@@ -22,7 +22,7 @@ from simulator.roads.track import load_track
 from waiting import wait_until
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, key_of
-from web.jobs.wheels import new_drive, quick_epochs, training
+from web.jobs.wheels import new_drive, training
 from workbench import Served, served
 
 
@@ -108,11 +108,6 @@ def test_the_name_of_a_run_or_session_never_becomes_a_flag(tmp_path: Path) -> No
     ):
         with pytest.raises(WebError, match="would take it for a flag"):
             make()
-
-
-@pytest.mark.parametrize(("rows", "epochs"), [(0, 10), (1100, 6), (4300, 3), (100_000, 2)])
-def test_the_button_passes_less_often_over_a_longer_drive(rows: int, epochs: int) -> None:
-    assert quick_epochs(rows) == epochs
 
 
 def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:

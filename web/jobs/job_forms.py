@@ -227,7 +227,7 @@ FORMS: Final[Sequence[JobForm]] = (
         (
             Field("name", "name of the run", hint="date and time"),
             Field("network", "network", hint=_TRAIN.network, choices=tuple(BUILT_IN)),
-            Field("epochs", "epochs", hint=str(_TRAIN.epochs)),
+            Field("epochs", "epochs", hint="as many as it needs"),
             Field("rate", "learning rate", hint=str(_TRAIN.rate)),
             Field("batch", "samples in a step", hint=str(_TRAIN.batch)),
             Field("targets", "what it learns", hint=_TARGETS[0], choices=_TARGETS, is_several=True),
@@ -262,7 +262,7 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("run", "run", "--init", suggestions="runs", is_needed=True),
             Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_several=True, is_needed=True),
             Field("name", "name of the new run", hint="date and time"),
-            Field("epochs", "epochs", hint="10"),
+            Field("epochs", "epochs", hint="as many as it needs"),
             Field("recipe", "recipe", hint=_TRAIN.recipe, choices=get_args(Recipe), is_more=True),
         ),
         ("index", "sessions", "drives", "runs"),
@@ -316,7 +316,7 @@ FORMS: Final[Sequence[JobForm]] = (
         "The whole chain: record, index, train, drive. It runs in this project if that is empty, otherwise in a"
         " new folder, demo/DATE. It takes some minutes.",
         ("bc-demo",),
-        (Field("epochs", "epochs", hint="4"),),
+        (Field("epochs", "epochs", hint="as many as it needs"),),
         (),
         lambda values: "/drives",
         fills_project=True,

@@ -117,24 +117,11 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
     if place == "drives":
         values = {"run": name, "takeovers": in_one_field([str(log)]), "name": run, "epochs": str(EPOCHS_MORE)}
         return [*form_of("learn").words(values, folders), f"--recipe={TAKEOVERS_RECIPE}"], run
-    with Log(log) as session:
-        epochs = quick_epochs(session.counts.get(topics.VEHICLE, 0))
-    values = {"name": run, "epochs": str(epochs)}
-    return [*form_of("train").words(values, folders), "--on", as_argument(name)], run
+    return [*form_of("train").words({"name": run}, folders), "--on", as_argument(name)], run
 
 
 TAKEOVERS_RECIPE: Final[Recipe] = "people"
 """Without altered pictures, as learning from takeovers was measured (docs/studies/at-the-wheel.md)."""
-
-
-def quick_epochs(rows: int) -> int:
-    """The epochs in which a network learns to drive from so many rows. Half a lap takes two minutes on fast cores.
-
-    Half a lap of both tracks gets six: after three, two of three networks needed help
-    (docs/studies/at-the-wheel.md).
-    """
-    rows = max(1, rows)
-    return round(max(2, min(10, max(6000 / rows, min(6, 13_000 / rows)))))
 
 
 def is_training_on(job: Job, log: Location) -> bool:
