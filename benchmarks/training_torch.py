@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.utils.data import DataLoader, Dataset
 
+from common.recipe import Recipe
 from model.adam import Adam
 from model.config import TrainConfig
 from model.device import choose_machine
@@ -141,13 +143,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("contender", choices=contenders)
+    parser.add_argument("--recipe", choices=get_args(Recipe), default="altered")
     parser.add_argument("--precision", choices=["auto", "float32", "bfloat16"], default="auto")
     parser.add_argument("--micro-batch", type=int, default=0)
     parser.add_argument("--picture-memory-mb", type=int, default=1024)
     parser.add_argument("--threads", type=int, default=0)
     chosen = parser.parse_args()
     config = replace(
-        TrainConfig.of("altered"),
+        TrainConfig.of(chosen.recipe),
         epochs=1_000_000,
         device="cpu",
         precision=chosen.precision,
