@@ -55,10 +55,8 @@ def test_without_frames_held_out_nothing_is_said(tmp_path: Path) -> None:
 def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     index = toy_index(tmp_path)
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
-    assert (
-        call(main, "--name", "first", "--network", "small", "--epochs", 2, "--batch", 8, "--threads", 1, *places)
-        == 0
-    )
+    settings = ["--network", "small", "--epochs", 2, "--batch", 8, "--rate", 1e-4, "--threads", 1]
+    assert call(main, "--name", "first", *settings, *places) == 0
     *_, of_scale, _, verdict, advice = capsys.readouterr().out.splitlines()
     epochs = [
         json.loads(line) for line in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()

@@ -92,7 +92,7 @@ def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     log = write_log(Path("sessions") / "mine.mcap", [0.1])
     words, run = training("sessions", log, ProjectFolders())
-    assert (shlex.join(words), run) == ("bc-train --name=mine --epochs=10 --on mine", "mine")
+    assert (shlex.join(words), run) == ("bc-train --name=mine --on mine", "mine")
     untrained_run(Path("runs") / "mine")
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
 
