@@ -26,7 +26,7 @@ from common.streams import drain
 class Demo:
     """Record half a lap of each track, index, train, and drive a full lap of both.
 
-    5 minutes on two idle cores, 8 if they lack bfloat16 (as with AVX2 only); 0.9 GB of disk.
+    2 to 6 minutes on two cores; 0.9 GB of disk.
     """
 
     folder: Path | None = None
