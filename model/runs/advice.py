@@ -69,11 +69,13 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
     """Natural answers are worse than answers as learnt, and the answers as learnt beat always predicting the mean.
-    After only a few epochs, more epochs help first; of a few frames, the difference may be chance."""
+    After few steps, more epochs help first; of a few frames, the difference may be chance; and a lap without
+    intervention says more than errors."""
     kept = numbers.kept
     if (
         kept is None
         or numbers.is_short
+        or numbers.drives_well
         or kept.learnt is None
         or kept.answers == AnswerScale()
         or kept.measures.frames < FEW_FRAMES
@@ -96,12 +98,14 @@ def has_worse_answers(numbers: RunNumbers) -> Advice | None:
 
 
 def is_enough(numbers: RunNumbers) -> Advice | None:
-    """The network is likely to drive, and no drive of it needed an intervention."""
+    """The network drives, or is likely to, and no drive of it needed an intervention."""
     driven, measured = numbers.drives, numbers.measured
     if measured is None or any(_interventions(drive) for drive in driven):
         return None
     band = numbers.drivable.band if numbers.drivable is not None else None
-    if band is None or band.share < 1 or measured.network.turning_mae_deg >= measured.mean.turning_mae_deg:
+    turns = measured.network.turning_mae_deg < measured.mean.turning_mae_deg
+    is_likely = band is not None and band.share >= 1 and turns
+    if not is_likely and not (numbers.drives_well and numbers.is_built_in):
         return None
     small = f"a driving error of {measured.driving_error:.2f} is small enough to try"
     if not numbers.is_built_in:

@@ -155,6 +155,11 @@ class RunNumbers:
         return bool(laps) and (len(numbers) < len(laps) or sum(numbers) >= A_WHOLE_LAP)
 
     @property
+    def drives_well(self) -> bool:
+        """True if it has driven a lap or more, and no drive needed an intervention."""
+        return self.has_driven_a_lap and not any(drive["interventions"] for drive in self.drives)
+
+    @property
     def is_built_in(self) -> bool:
         """True if all sessions of the run are of the built-in simulator, on whose roads more can be recorded."""
         cars = [log.get("car") for log in self.data.logs.values()]

@@ -68,6 +68,7 @@ def sound(**changed: Any) -> dict[str, Any]:
 ENDED = [epoch(number, 0.1) for number in range(1, 11)]
 WEAK = [epoch(number, 0.35) for number in range(1, 11)]
 GOOD = [epoch(number, 0.05) for number in range(1, 11)]
+LAP = {"track": "lake", "set_speed_mph": 10.0, "interventions": 0, "laps": 1.0}
 
 
 def scaled(natural: Epoch, learnt_driving_error: float, **learnt: float) -> Epoch:
@@ -226,6 +227,11 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             "bc-train --like first --answers as-learnt",
         ),
         (
+            numbers(epochs=[scaled(weak, 0.4) for weak in WEAK], drives=(LAP,)),  # what it does counts more
+            "no intervention on the roads it has driven",
+            "bc-eval first --simulator random:1 random:2",
+        ),
+        (
             numbers(  # RMSE alone is then worse than the mean's
                 sound(logs={"more": {"log": "../sessions/more.mcap"}, "b": {"log": "../sessions/b.mcap"}}),
                 epochs=[scaled(epoch(number, 0.2), 0.4, rmse_deg=90.0) for number in range(1, 11)],
@@ -284,8 +290,9 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
     ],
     ids=[
-        "being trained", "contradicting", "constant", "unfinished", "natural answers", "natural and better",
-        "interventions", "still improving", "few epochs", "few turns", "one session", "one side",
+        "being trained", "contradicting", "constant", "unfinished", "natural answers", "natural, but it drives",
+        "natural and better",
+        "interventions", "still improving", "few steps", "few turns", "one session", "one side",
         "one side mirrored", "side cameras", "answers hardly worse", "nothing",
     ],
 )  # fmt: skip
