@@ -38,7 +38,7 @@ def a_session(path: Path, first: int, rows: int, car: Car | None = None) -> Path
 def a_run(session: Path) -> None:
     """A network that has learnt next to nothing from the session."""
     build_index([session], Path("index"), SETTINGS)
-    config = TrainConfig(network="small", epochs=1, batch=32)
+    config = TrainConfig(network="small", epochs=1, batch=32, rate=1e-4)
     train(Path("index"), Path("runs/first"), config, show_progress=False)
 
 

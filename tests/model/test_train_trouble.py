@@ -170,7 +170,7 @@ def test_the_last_epoch_can_be_asked_for_instead_of_the_best(trained: Path) -> N
     ("change", "says"),
     [
         ({"training": {"epochs": 1, "widgets": 3}}, "unknown settings: widgets"),
-        ({"training": {"epochs": 0}}, "epochs"),
+        ({"training": {"epochs": -1}}, "epochs"),
         ({"training": []}, "cannot be used"),
         ({"data": {}}, "does not name the data"),
         ({"format": 99}, "of format 99"),
@@ -225,7 +225,7 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--epochs", 0], "--epochs 0: expected a whole number from 1 to 1,000,000"),
+        (["--epochs", -1], "--epochs -1: expected a whole number from 0 to 1,000,000"),
         (["--micro-batch", -1], "--micro-batch -1: expected a whole number from 0"),
         (["--seed", -1], "--seed -1: expected a whole number from 0"),
         (["--rate", 0], "--rate 0: expected a number above 0"),
