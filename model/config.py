@@ -20,8 +20,10 @@ Keep = Literal["last", "driving-error", "balanced-rmse", "rmse"]
 
 ENOUGH_STEPS: Final = 150
 """After so many steps, a network drives (docs/studies/speedrun.md)."""
-MOST_PASSES: Final = 10
+_MOST_PASSES: Final = 10
 """Recordings that are so short that they would need more passes lack other things than passes."""
+_SMALL_STEPS: Final[Mapping[str, Any]] = {"epochs": 10, "batch": 256, "rate": 1e-4}
+"""Settings of the original project, which the recipes `altered` and `people` keep."""
 
 _RANGES: Final = {
     "epochs": (0, 10**6),
@@ -35,15 +37,19 @@ _RANGES: Final = {
 }
 
 
+def enough_passes(samples: int, batch: int) -> int:
+    """The passes over so many samples after which a network has learnt in enough steps."""
+    steps = math.ceil(samples / batch) or 1
+    return min(_MOST_PASSES, math.ceil(ENOUGH_STEPS / steps))
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """The settings of a training. Defaults that --recipe does not set are the original project's."""
 
     EARLIER: ClassVar[Mapping[str, Any]] = {
         "recipe": "original",
-        "epochs": 10,
-        "batch": 256,
-        "rate": 1e-4,
+        **_SMALL_STEPS,
         "average_steps": 1,
         "answers": "as-learnt",
         "keep": "balanced-rmse",
@@ -112,7 +118,7 @@ class TrainConfig:
             return cls(**cls.EARLIER)
         if recipe == "large-steps":
             return cls()
-        altered = cls(recipe="altered", epochs=10, batch=256, rate=1e-4)
+        altered = cls(recipe="altered", **_SMALL_STEPS)
         if recipe == "altered":
             return altered
         return replace(altered, recipe=recipe, keep="driving-error", alter_each_epoch=("none",), light="as-seen")
@@ -155,9 +161,7 @@ class TrainConfig:
     def with_passes(self, samples: int) -> TrainConfig:
         """These settings with a number of epochs, if they leave it open, for an index with so many training
         samples."""
-        steps = math.ceil(samples / self.batch) or 1
-        passes = min(MOST_PASSES, math.ceil(ENOUGH_STEPS / steps))
-        return self if self.epochs else replace(self, epochs=passes)
+        return self if self.epochs else replace(self, epochs=enough_passes(samples, self.batch))
 
     @property
     def epoch_alterations(self) -> tuple[EpochAlteration, ...]:

@@ -138,7 +138,7 @@ def is_still_improving(numbers: RunNumbers) -> Advice | None:
     errors = [epoch.measures.driving_error for epoch in epochs]
     is_best = errors[-1] == min(errors)
     if numbers.is_short:
-        learnt = f"{counted(len(epochs), 'epoch')} of {numbers.steps / numbers.learnt:,.0f} steps"
+        learnt = f"{counted(len(epochs), 'epoch')} of {numbers.epoch_samples / numbers.training.batch:,.0f} steps"
         return Advice(f"{learnt}: networks of fewer than {ENOUGH_STEPS} steps seldom drive", more)
     if not is_best or len(errors) == 1:
         return None

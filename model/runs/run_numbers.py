@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 import msgspec
 
 from common.car import BUILT_IN_WHEELBASE_M, MAX_STEERING_DEG
 from common.errors import printable
-from model.config import ENOUGH_STEPS, MOST_PASSES
+from model.config import enough_passes
 from model.metrics import BinErrors, Measures
 from model.runs.enough_to_drive import Drivable, Hand, drivable
 from model.runs.history_lines import parse_measures
@@ -86,7 +86,7 @@ class StoredIndex(msgspec.Struct):
 
 class StoredTraining(msgspec.Struct):
     epochs: int = 0
-    batch: int = 256
+    batch: Annotated[int, msgspec.Meta(ge=1)] = 256
     recipe: str = "original"
     seed: int = 0
     patience: int = 0
@@ -116,17 +116,15 @@ class RunNumbers:
         return self.epochs[-1].epoch if self.epochs else 0
 
     @property
-    def steps(self) -> float:
-        """The steps of the optimizer; NaN without an epoch."""
-        if not self.epochs:
-            return math.nan
-        last = self.epochs[-1]
-        return self.learnt * last.seconds * last.samples_per_s / self.training.batch
+    def epoch_samples(self) -> float:
+        """The samples of the last epoch; NaN if they are unknown."""
+        return self.epochs[-1].seconds * self.epochs[-1].samples_per_s if self.epochs else math.nan
 
     @property
     def is_short(self) -> bool:
         """Too few steps to drive, although more passes would help."""
-        return self.learnt < MOST_PASSES and self.steps < 0.95 * ENOUGH_STEPS
+        samples = self.epoch_samples
+        return math.isfinite(samples) and self.learnt < enough_passes(round(samples), self.training.batch)
 
     @property
     def kept(self) -> Epoch | None:

@@ -302,6 +302,13 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     assert advised.command == command
 
 
+@pytest.mark.parametrize("batch", [0, -5, "many"])
+def test_a_batch_that_no_training_has_ends_no_command(batch: object) -> None:
+    """The config of a run from elsewhere may hold anything."""
+    run = numbers(sound() | {"training": {"epochs": 2, "batch": batch}}, WEAK[:2])
+    assert advice(run).why.startswith("2 epochs of 39 steps")
+
+
 @pytest.mark.parametrize(("frames", "is_advised"), [(100, False), (299, False), (300, True)])
 def test_natural_answers_are_judged_on_enough_frames(frames: int, is_advised: bool) -> None:
     weak = [replace(of, measures=measured(0.35, np.linspace(-0.6, 0.6, frames))) for of in WEAK]
