@@ -44,7 +44,7 @@ SMALL: Final = ("--per-bin", "150")  # 3,750 samples an epoch: half a minute for
 ORIGINAL: Final = ("--recipe", "original")
 PEOPLE: Final = ("--recipe", "people")
 ALTERED: Final = ("--recipe", "altered")
-TO_THE_END: Final = (1, 4, 10)  # ten are the default
+TO_THE_END: Final = (1, 4, 10)  # ten are the recipes' default
 
 
 @dataclass(frozen=True)
