@@ -26,6 +26,7 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
+from kept_result import keep
 from printed_table import print_head, print_row
 from toolkit_command import output_of
 
@@ -154,13 +155,6 @@ def print_drives(folder: Path, network: str, recipes: Sequence[str], seeds: Sequ
             reports = json.loads(file.read_text())
             cells = [f"{reports[road]['interventions']}, {reports[road]['mean_offset']:.3f}" for road in ROADS]
             print_row(recipe, seed, *cells)
-
-
-def keep(result: Path, values: Mapping[str, object]) -> None:
-    result.parent.mkdir(exist_ok=True)
-    unfinished = result.with_suffix(".part")
-    unfinished.write_text(json.dumps(values))
-    unfinished.rename(result)
 
 
 def file_of(folder: Path, network: str, recipe: str, seed: int, learnt: Sequence[Path], last: bool) -> Path:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from figure_style import BLUE, ORANGE, figure_style, new_figure
+from kept_result import keep
 from printed_table import print_head, print_row
 from toolkit_command import output_of
 
@@ -62,8 +63,7 @@ def measured(folder: Path, rows: dict[str, int], pictures: int) -> dict[str, Any
         "driven": parsed(output_of(folder, "bc-eval", name, "--simulator", *TRACKS, "--json", "--force")),
         "offline": {name: offline[name] for name in ("network", "mean", "balanced_rmse_deg") if name in offline},
     }
-    kept.parent.mkdir(exist_ok=True)
-    kept.write_text(json.dumps(point))
+    keep(kept, point)
     return point
 
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from kept_result import keep
 from printed_table import print_head, print_row
 
 from dataset import IndexConfig, build_index
@@ -124,10 +125,7 @@ def measures(folder: Path, recipe: str, seed: int, epochs: int, part: Part) -> d
         train(index, run, config, resume=run.exists())
         evaluation = evaluate_sessions(run, unseen) if unseen else evaluate(run, index)
         values = {session: values_of(measured) for session, measured in evaluation.sessions.items()}
-        result.parent.mkdir(exist_ok=True)
-        unfinished = result.with_suffix(".part")
-        unfinished.write_text(json.dumps(values))
-        unfinished.rename(result)
+        keep(result, values)
     return dict(json.loads(result.read_text()))
 
 

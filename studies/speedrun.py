@@ -24,10 +24,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
+from kept_result import keep
 from printed_table import print_head, print_row
 from toolkit_command import output_of
 
-from common.files import atomic_file
 from common.process_settings import usable_cores
 from model.runs.history import read_epochs
 
@@ -90,12 +90,6 @@ def drive(folder: Path, run: str, mph: int) -> list[dict[str, Any]]:
         output = output_of(folder, "bc-eval", run, *words)
         keep(kept, [json.loads(line) for line in output.splitlines()])
     return list(json.loads(kept.read_text()))
-
-
-def keep(path: Path, result: object) -> None:
-    path.parent.mkdir(exist_ok=True)
-    with atomic_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(result))
 
 
 def print_table(
