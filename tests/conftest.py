@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
 import sys
 import sysconfig
 from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -95,10 +96,23 @@ def recordings() -> Path:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """One for all pages, and one window of it (pages.py)."""
-    with chromium() as started:
-        yield started
+def _browsers() -> Iterator[Callable[[], Browser]]:
+    with contextlib.ExitStack() as until_done:
+        started: list[Browser] = []
+
+        def running() -> Browser:
+            if not started or not started[-1].is_connected():
+                until_done.close()
+                started.append(until_done.enter_context(chromium()))
+            return started[-1]
+
+        yield running
+
+
+@pytest.fixture
+def browser(_browsers: Callable[[], Browser]) -> Browser:
+    """One for all pages, and one window of it (pages.py); another one after Chromium has crashed."""
+    return _browsers()
 
 
 @pytest.fixture
