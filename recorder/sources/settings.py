@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, TypeAlias
 
 import tyro
 
@@ -38,6 +38,34 @@ class SimulatedDrive:
     """Unsteadiness of the steering; 0.03 is a calm person."""
     seed: int = 0
     """Same seed, same log; with --gym the first episode's seed."""
+
+
+TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
+
+
+@dataclass(frozen=True)
+class ImportSettings:
+    """What the user says of a recording. All formats take the same; each uses what fits it."""
+
+    RARE: ClassVar[str] = "camera time_unit steering_offset max_steering_age"
+    image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
+    """Topic of the pictures, or a LeRobot dataset's feature."""
+    steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
+    """The steering: /cmd_vel.angular.z; for LeRobot: action.steering."""
+    camera: Annotated[tuple[str, ...], tyro.conf.arg(metavar="left=TOPIC [right=TOPIC]")] = ()
+    """Topics of side cameras, beside --image."""
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
+    """Columns of a csv: image=frame steering=angle, and more."""
+    rate: Annotated[float | None, tyro.conf.arg(metavar="HZ")] = None
+    """Rows a second, of a recording without times."""
+    time_unit: TimeUnit | None = None
+    """Unit of the recording's times, if it is not the usual one."""
+    steering_scale: float = 1.0
+    """Factor to -1 (left) .. 1 (right); negative for ROS."""
+    steering_offset: float = 0.0
+    """Added to the steering before the scale: -0.53 if 0.53 is straight on."""
+    max_steering_age: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 1.0
+    """How long a steering message stays in force."""
 
 
 @dataclass(frozen=True)
