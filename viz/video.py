@@ -192,7 +192,8 @@ class _Mp4:
         self._error: Any = av.FFmpegError
         with self._refused():
             # faststart: the index comes first, so that a browser can play before it has the whole file
-            self._container = av.open(str(part), "w", format="mp4", options={"movflags": "+faststart"})
+            # FFmpeg takes what is before a colon in a name for a protocol
+            self._container = av.open(f"file:{part}", "w", format="mp4", options={"movflags": "+faststart"})
         self._stream = self._container.add_stream("libx264", rate=TICKS_A_SECOND, options=_ENCODER)
         self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
         self._stream.codec_context.time_base = _TICK

@@ -73,7 +73,8 @@ class VideoFiles:
     def _begin_file(self) -> None:
         self._path = self._root / self._number.path(VIDEO_PATH, video_key=self._key)
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._container = self._av.open(str(self._path), "w", format="mp4")
+        # FFmpeg takes what is before a colon in a name for a protocol
+        self._container = self._av.open(f"file:{self._path}", "w", format="mp4")
         self._stream = self._container.add_stream(CODEC, rate=self._fps, options=_ENCODER)
         self._stream.width, self._stream.height = self._size
         self._stream.pix_fmt = "yuv420p"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -311,6 +312,15 @@ def test_the_card_says_what_who_how_and_asks_for_a_licence(tmp_path: Path) -> No
     assert (without.folder / "picture.jpg").read_bytes() == jpeg("center", 0)
     export_lerobot([log], tmp_path / "with", licence="cc-by-4.0")
     assert 'license: "cc-by-4.0"' in (tmp_path / "with/README.md").read_text().partition("\n---\n")[0]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no colon in a file's name")
+def test_a_dataset_of_videos_may_have_a_time_in_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_drives(tmp_path / "two.mcap")
+    monkeypatch.chdir(tmp_path)
+    assert call(bc_log, "export", log, "--lerobot", "2026-11-28T10:30:00", "--video") == 0
+    videos = tmp_path / "2026-11-28T10:30:00/videos/observation.images.center"
+    assert (videos / "chunk-000/file-000.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 def test_as_videos_each_frame_is_at_its_timestamp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

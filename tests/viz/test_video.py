@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,6 +120,14 @@ def test_every_picture_appears_at_its_own_time(tmp_path: Path) -> None:
     # the last one stays as long as most do: 0.1 s
     assert video.duration_s == pytest.approx(1.65, abs=TICK_S) == made.duration_s
     assert (made.pictures, made.left_out, made.gaps, len(made.skipped), made.notice) == (8, 0, 0, 0, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no colon in a file's name")
+def test_a_video_s_name_may_have_a_time_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_log(tmp_path / "x.mcap", [grey(90)] * 20)
+    monkeypatch.chdir(tmp_path)
+    write_video(log, Path("2026-11-28T10:30:00.mp4"))
+    assert (tmp_path / "2026-11-28T10:30:00.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 def test_it_plays_faster_and_then_leaves_out_what_no_screen_could_show(
