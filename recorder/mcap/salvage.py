@@ -39,7 +39,7 @@ def salvage(file: McapFile, structure: Structure) -> None:
     for start, end in stretches:
         search.through(start, end)
     if structure.lost and not structure.problem:  # chunks may have moved
-        walked = walk(file)
+        walked = walk(file, structure.data_end)
         starts = {chunk.start for chunk in structure.chunks}
         if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
             structure.chunks += moved

@@ -44,7 +44,6 @@ DAMAGED: Final = "damaged"
 """The problem of a finished log of another program that lists no chunks at its end."""
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
-_DATA_END_BYTES: Final = RECORD.size + 4
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
 # compared for each chunk: plain numbers are quicker
 _OP_CHUNK: Final = int(Opcode.CHUNK)
@@ -74,6 +73,7 @@ class Structure:
     statistics: Statistics | None = None  # of a finished file
     problem: str = ""  # why the file had to be walked through; empty for a finished file
     has_end: bool = True  # the data section is finished
+    data_end: int = 0  # where the data section ends, by the footer; 0: unknown
     attachment_names: dict[int, str] = field(default_factory=dict)  # by offset; from the summary
     has_quality: bool = False  # from the summary; our logs with rows and a CRC of all data have it
     lost: list[tuple[int, int]] = field(default_factory=list)  # unreadable stretches of bytes
@@ -100,7 +100,7 @@ def read_structure(file: McapFile) -> Structure:
     if is_complete(structure):
         return structure
     # the summary and each of its parts are optional: the file may be finished without them
-    walked = walk(file)
+    walked = walk(file, structure.data_end)
     return replace(walked, problem="" if walked.has_end and not walked.lost else DAMAGED)
 
 
@@ -158,7 +158,7 @@ def read_summary(file: McapFile) -> Structure | None:
     start, summary = _summary(file)
     if not summary:
         return None
-    structure = Structure()
+    structure = Structure(data_end=start)
     try:
         others = _take_chunk_indexes(summary, structure.chunks)
         for record in _records(others):
@@ -197,15 +197,12 @@ def _summary(file: McapFile) -> tuple[int, bytes]:
     """The start of the summary section, and its bytes to the file's end, with the footer; empty if the end is
     missing or damaged."""
     tail = _FOOTER.size + len(MAGIC)
-    if file.size < len(MAGIC) + _DATA_END_BYTES + tail:
+    if file.size < len(MAGIC) + tail:
         return 0, b""
     footer = file.read(file.size - tail, tail)
     opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
     is_footer = opcode == Opcode.FOOTER and length == _FOOTER.size - RECORD.size and footer.endswith(MAGIC)
-    if start == 0:  # no summary: the footer follows the data section
-        start = file.size - tail
-        head = file.read(start - _DATA_END_BYTES, RECORD.size)
-        is_footer &= RECORD.unpack(head) == (Opcode.DATA_END, _DATA_END_BYTES - RECORD.size)
+    start = start or file.size - tail  # 0: no summary, the footer follows the data section
     if not is_footer or start > file.size - tail or file.size - start > MAX_RECORD_BYTES:
         return 0, b""
     summary = file.read(start, file.size - start)
@@ -255,9 +252,11 @@ def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
     return b"".join((*others, summary[position:]))
 
 
-def walk(file: McapFile) -> Structure:
-    """The structure from a walk from the file's start to its end; unreadable stretches are in `lost`."""
-    structure = Structure(problem=GOES_ON if is_being_written(file.path) else KILLED, has_end=False)
+def walk(file: McapFile, data_end: int = 0) -> Structure:
+    """The structure from a walk from the file's start to its end; unreadable stretches are in `lost`. `data_end`:
+    see `Structure`."""
+    problem = GOES_ON if is_being_written(file.path) else KILLED
+    structure = Structure(problem=problem, has_end=False, data_end=data_end)
     position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
     unsure = position  # no CRC has matched after it: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:
@@ -266,7 +265,7 @@ def walk(file: McapFile) -> Structure:
         try:
             if end > file.size:
                 raise file.damaged("no record")
-            if opcode == Opcode.DATA_END and length == 4:
+            if opcode == Opcode.DATA_END and (length == 4 or end == data_end):
                 structure.problem = "its end is damaged"
                 structure.has_end = True
                 break
@@ -309,7 +308,11 @@ def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Str
     elif opcode == Opcode.ATTACHMENT:
         file.attachment(start)
         structure.attachments_at.append(start)
-    elif not (opcode == Opcode.MESSAGE_INDEX and _is_index(file, start, end)) and start != len(MAGIC):
+    elif (
+        not (opcode == Opcode.MESSAGE_INDEX and _is_index(file, start, end))
+        and not (opcode > Opcode.DATA_END and _is_of_unknown_kind(file, start, end))
+        and start != len(MAGIC)
+    ):
         raise file.damaged("no record of a data section")  # except the header, which is the first record
 
 
@@ -339,6 +342,13 @@ def _is_index(file: McapFile, start: int, end: int) -> bool:
         return False
     list_bytes = int.from_bytes(file.read(start + RECORD.size + 2, 4), "little")
     return 0 <= length - 6 - list_bytes < RECORDS_AT - RECORD.size - 6
+
+
+def _is_of_unknown_kind(file: McapFile, start: int, end: int) -> bool:
+    """True for a record of another program's own kind, or of a later version of MCAP. A chunk with a damaged
+    first byte is none."""
+    head = file.read(start + 1, min(RECORDS_AT, end - start) - 1)
+    return not file.promises_crcs and _CHUNK_START.match(bytes([_OP_CHUNK]) + head) is None
 
 
 def search_budget(file: McapFile) -> int:

@@ -85,7 +85,8 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
                 findings.append(Finding("chunks without an index of their messages", f"before byte {position:,}"))
             expected = {}
         if opcode == Opcode.DATA_END:
-            if length != 4:  # no CRC covers this record's header
+            # no CRC covers this record's header; a later version of MCAP may add to the record
+            if length != 4 and position + len(record) != structure.data_end:
                 findings.append(Finding("records of a wrong length", f"at byte {position:,}"))
             (stored,) = struct.unpack("<I", record[RECORD.size :][:4].ljust(4, b"\0"))
             # 0 is damage, except in our earliest logs, which have neither this CRC nor bc.quality
