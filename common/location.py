@@ -159,4 +159,5 @@ def relative_to(place: Location, folder: Location) -> str:
 
 def shown_address(host: str, port: int) -> str:
     """Host and port as in a URL: an IPv6 address has brackets."""
+    host = host.strip("[]")
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -27,7 +27,7 @@ class AllowedHosts:
     """
 
     def __init__(self, host: str) -> None:
-        self._host = _normalised(host)
+        self._host = _normalised(host.strip("[]"))
         self._is_everywhere = not host or (
             _is_address(self._host) and ipaddress.ip_address(self._host).is_unspecified
         )

@@ -33,14 +33,19 @@ def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
     """
     if not 0 <= port < 65536:
         raise ListenError(f"cannot listen on {shown_address(host, port)}: --port is a number from 1 to 65535")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = kind(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((host, port))
-        listener.listen(16)
-    except (OSError, TypeError, ValueError) as error:  # the last two: invalid names of hosts
-        listener.close()
+        name = host.strip("[]") or None
+        found = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, *_, address = min(found, key=lambda one: one[0] != socket.AF_INET)  # IPv4, if a name has both
+        listener = kind(family, socket.SOCK_STREAM)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(16)
+        except OSError:
+            listener.close()
+            raise
+    except (OSError, ValueError) as error:  # ValueError: an invalid name of a host
         reason = getattr(error, "strerror", None) or error
         advice = "give an address of this machine by --host"
         if getattr(error, "errno", None) in (errno.EADDRINUSE, errno.EACCES):

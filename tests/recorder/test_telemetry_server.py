@@ -4,6 +4,7 @@ modes of the server; whoever else knocks costs one line."""
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import itertools
 import json
@@ -17,7 +18,7 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 import websocket
@@ -326,6 +327,33 @@ def test_a_port_in_use_says_what_to_do() -> None:
 def test_a_host_that_is_not_here_is_one_line(host: str) -> None:
     with pytest.raises(ListenError, match=r"cannot listen on .*; give an address of this machine by --host"):
         TelemetryServer(Book(), host=host, port=0)
+
+
+@pytest.mark.needs("ipv6")
+@pytest.mark.parametrize("host", ["::1", "[::1]", "six.test"])
+def test_a_simulator_comes_over_ipv6(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To an address, as in a URL or not, or to a name that has no other."""
+    resolve = socket.getaddrinfo
+
+    def with_a_name(name: str, *more: Any, **options: Any) -> Any:
+        return resolve("::1" if name == "six.test" else name, *more, **options)
+
+    monkeypatch.setattr(socket, "getaddrinfo", with_a_name)
+    book = Book()
+    with Serving(book, host=host) as serving:
+        tell(serving.port, range(3), host=host)
+    assert len(book.answered_ms) == 3
+    assert serving.said == []
+
+
+def test_an_address_of_a_family_that_is_not_here_is_one_line() -> None:
+    """As on a machine without IPv6."""
+
+    def refuse(*_: object) -> socket.socket:
+        raise OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol")
+
+    with pytest.raises(ListenError, match=r"on \[::1\]:80 \(Address family .*; give an address of this machine"):
+        listen("::1", 80, refuse)  # type: ignore[arg-type]
 
 
 def test_broken_packets_are_hung_up_on_and_said_once() -> None:
