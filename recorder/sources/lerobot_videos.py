@@ -6,20 +6,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import cv2
-
 from common.closeable import Closeable
 from common.errors import printable
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import VIDEO_PATH, FileNumber
 from recorder.pictures.picture_size import MAX_PIXELS
+from recorder.sources.compressed_video import jpeg_of
 from recorder.sources.lerobot_dataset import LeRobotFolder
 
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-JPEG_QUALITY: Final = 95
 _MAX_S: Final = 1e9  # in a video: thirty years
 
 
@@ -84,13 +82,11 @@ class CameraVideos(Closeable):
                     return None
             if abs((self._next.time or 0.0) - wanted_s) > self._tolerance_s:
                 return None
-            picture = self._next.to_ndarray(format="bgr24")
+            return jpeg_of(self._next)
         except (self._av.FFmpegError, ValueError) as error:
             raise RecordingError(
                 f"{path}: the video cannot be decoded ({printable(str(error)[:200])}); download it again"
             ) from None
-        is_encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        return jpeg.tobytes() if is_encoded else None
 
     def close(self) -> None:
         if self._container is not None:

@@ -21,7 +21,8 @@ from udacity import jpeg
 
 S = 1_000_000_000
 START_NS = 1_720_880_000 * S
-CAMERA, WHEEL = "/camera/compressed", "/wheel"
+CAMERA, VIDEO, WHEEL = "/camera/compressed", "/camera/video", "/wheel"
+_JSON_TYPES = {CAMERA: "foxglove.CompressedImage", VIDEO: "foxglove.CompressedVideo"}
 TOPICS = Topics(CAMERA, f"{WHEEL}.steering.angle")
 
 Told = tuple[str, float, object]  # topic, seconds from the start, message
@@ -45,7 +46,7 @@ def write_mcap(path: Path, told: Iterable[Told], **options: Any) -> Path:
                 if isinstance(content, Message):
                     schema, encoding = register_schema(writer, type(content)), "protobuf"
                 else:
-                    name = "foxglove.CompressedImage" if topic == CAMERA else "car.Wheel"
+                    name = _JSON_TYPES.get(topic, "car.Wheel")
                     schema, encoding = writer.register_schema(name, "jsonschema", b'{"type": "object"}'), "json"
                 channels[topic] = writer.register_channel(topic, encoding, schema)
             data = (
