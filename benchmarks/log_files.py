@@ -21,12 +21,11 @@ import threading
 import time
 from pathlib import Path
 
-from common import Skipped
 from common.car import CAMERAS
 from recorder import LogWriter, import_udacity
-from recorder.bc_pb2 import VehicleState
 from recorder.lerobot.export import export_lerobot
-from recorder.sources.udacity_recording import UdacityRecording
+from recorder.sources.clean import names_of, state_of
+from recorder.sources.udacity_recording import read_udacity
 
 RUNS = 3
 ROW_NS = 100_000_000
@@ -47,19 +46,23 @@ def print_import(recording: Path, folder: Path) -> None:
 
 def write_long_log(recording: Path, path: Path, size_bytes: float, max_rows: float = float("inf")) -> int:
     """Write a log of about `size_bytes` in drives of 1,000 rows. Returns its number of messages."""
-    complete = [(row, paths) for row, paths in UdacityRecording(recording, Skipped()).rows() if all(paths)][:200]
-    pictures = {Path(path).name: Path(path).read_bytes() for _, paths in complete for path in paths if path}
+    raw = read_udacity(recording)
+    folder = raw.folder
+    complete = [
+        (row, paths)
+        for row in raw.rows
+        if not row.problem
+        and folder is not None
+        and len(paths := [found for name in names_of(row) if (found := folder.find(name))]) == len(CAMERAS)
+    ][:200]
     number = 0
     with LogWriter(path, {"source": "benchmark"}) as writer:
         while writer.bytes_written < size_bytes and number < max_rows:
-            row, _ = complete[number % len(complete)]
-            time_ns = row.time_ns + number * ROW_NS + number // DRIVE_ROWS * PAUSE_NS
-            for camera, name in zip(CAMERAS, row.names, strict=True):
-                writer.picture(camera, time_ns, number, pictures[name])
-            state = VehicleState(
-                steering=row.steering, throttle=row.throttle, brake=row.brake, speed_mph=row.speed_mph
-            )
-            writer.vehicle(time_ns, number, state)
+            row, paths = complete[number % len(complete)]
+            time_ns = int(row.time or 0) + number * ROW_NS + number // DRIVE_ROWS * PAUSE_NS
+            for camera, picture in zip(CAMERAS, paths, strict=True):
+                writer.picture(camera, time_ns, number, Path(picture).read_bytes())
+            writer.vehicle(time_ns, number, state_of(row))
             number += 1
     return number * (len(CAMERAS) + 1)
 

@@ -15,7 +15,7 @@ from typing import Final
 
 from recorder.pictures.picture_size import MAX_PIXELS, PNG_START, has_too_many_scans, width_and_height
 
-PADDING_BYTES: Final = 64  # some cameras pad the end of a file
+PADDING_BYTES: Final = 64  # of a PNG; behind a JPEG's end, cameras that hand out their buffer leave anything
 
 _START: Final = b"\xff\xd8"
 _END, _SOS = 0xD9, 0xDA
@@ -42,10 +42,10 @@ def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
     if size is None or not 0 < size[0] * size[1] <= MAX_PIXELS:
         return None
     try:
-        end = _find_end(data)
+        end = _find_end(data)  # what comes behind it is not looked at
     except (ValueError, IndexError):  # IndexError: cut off
         return None
-    return size if len(data) - end <= PADDING_BYTES else None
+    return size if end <= len(data) else None
 
 
 def _find_end(data: bytes) -> int:

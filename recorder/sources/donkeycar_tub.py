@@ -25,12 +25,18 @@ from typing import Final
 from common import Skipped
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError, readable
+from recorder.log.session_car import Car
 from recorder.mcap.message_index import LAST_TIME_NS
+from recorder.sources.imported_rows import FROM_1970, recording_metadata
+from recorder.sources.picture_folder import PictureFolder
+from recorder.sources.recorded_row import RawRecording, RecordedRow
 
 MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
 
 _CATALOG = re.compile(r"catalog_([0-9]+)\.catalog")
 _RECORD = re.compile(r"record_([0-9]+)\.json")
+_PICTURE = re.compile(r"[0-9]+_cam[_-]image_array_\.jpg")  # other cameras and depths have other names
+DEFAULT_RATE_HZ: Final = 20  # of DonkeyCar's loop by default
 _MAX_JSON_BYTES: Final = 1 << 24  # of a file: a catalogue of DonkeyCar's thousand records has 0.3 MB
 
 
@@ -44,7 +50,7 @@ class TubRecord:
 @dataclass(frozen=True)
 class Tub:
     version: str
-    pictures: dict[str, Path]
+    images: Path  # the folder of the pictures
     deleted: frozenset[int]
     start_ns: int | None
     time_field: str  # milliseconds
@@ -62,6 +68,53 @@ def is_tub(folder: Path) -> bool:
     return bool(names & {MANIFEST, META}) or any(_RECORD.fullmatch(n) or _CATALOG.fullmatch(n) for n in names)
 
 
+def read_tub(folder: Path, skipped: Skipped, car: Car | None = None) -> RawRecording:
+    """The records of the tub in `folder`. Raises RecordingError if it is not a tub or cannot be read.
+
+    DonkeyCar's angle is our steering. Its throttle is -1..1. Speed is unknown.
+    """
+    tub = open_tub(folder, skipped)
+    with readable(folder):
+        pictures = PictureFolder([tub.images])
+    rows = [_row(tub, record) for record in tub.records(skipped)]
+    is_from_start = tub.is_time_from_start or all(row.time is None for row in rows)
+    metadata = recording_metadata("donkeycar", folder, car) | {"tub_version": tub.version, "clock": "recorded"}
+    if tub.start_ns is None and is_from_start:
+        metadata |= FROM_1970
+    return RawRecording(
+        folder,
+        metadata,
+        rows,
+        noun="records",
+        time_unit="ms",
+        start_ns=tub.start_ns if is_from_start else None,
+        rate_hz=DEFAULT_RATE_HZ,
+        folder=pictures,
+        is_picture=lambda name: _PICTURE.fullmatch(name) is not None,
+        without_rows=f"{folder}: no usable record in this DonkeyCar tub",
+    )
+
+
+def _row(tub: Tub, record: TubRecord) -> RecordedRow:
+    values = record.values
+    row = RecordedRow(record.name, position=record.index)
+    picture = values.get("cam/image_array")
+    if isinstance(picture, str):
+        name = re.split(r"[/\\]", picture)[-1]
+        row.pictures = {"center": name} if name not in ("", ".", "..") else {}
+    row.time = finite(values.get(tub.time_field))
+    angle, throttle = finite(values.get("user/angle")), finite(values.get("user/throttle"))
+    row.steering = math.nan if angle is None else angle
+    row.throttle = math.nan if throttle is None else throttle
+    if record.index in tub.deleted:
+        row.problem = "deleted records"
+    elif values.get("user/mode") not in ("user", None):
+        row.problem = "records driven by DonkeyCar's pilot"
+    elif throttle is None:
+        row.problem = "records whose throttle is not a finite number"
+    return row
+
+
 def open_tub(folder: Path, skipped: Skipped) -> Tub:
     """The tub in `folder`. Raises RecordingError if it is not a tub or cannot be read."""
     if not folder.is_dir():
@@ -71,13 +124,13 @@ def open_tub(folder: Path, skipped: Skipped) -> Tub:
     if MANIFEST in files:
         return _open_version_2(root, files, skipped)
     if META in files or any(map(_RECORD.fullmatch, files)):
-        return _open_version_1(files, skipped)
+        return _open_version_1(root, files, skipped)
     if any(map(_CATALOG.fullmatch, files)):
         return _open_version_2(root, files, skipped)
     raise RecordingError(f"{folder}: not a DonkeyCar tub: neither {MANIFEST} nor {META} is in it")
 
 
-def _open_version_1(files: dict[str, Path], skipped: Skipped) -> Tub:
+def _open_version_1(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub:
     start_ns = _start_ns(_load(files[META]), "start") if META in files else None
     deleted = _indexes(_load(files[EXCLUDED])) if EXCLUDED in files else frozenset[int]()
     if deleted is None:
@@ -93,7 +146,7 @@ def _open_version_1(files: dict[str, Path], skipped: Skipped) -> Tub:
             else:
                 skipped.add("records that cannot be read as a JSON object", name)
 
-    return Tub("1", files, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
+    return Tub("1", root, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
 
 
 def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub:
@@ -133,10 +186,9 @@ def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub
     images = root / IMAGES
     if images.is_symlink() and not images.is_dir():
         raise RecordingError(f"{images}: a link to {images.readlink()}, which is not there")
-    pictures = _files(images, Path(os.path.realpath(images)), skipped) if images.is_dir() else {}
     count = sum(1 for name in catalogs for _ in _lines(files[name]))
     start_ns = _start_ns(created, "created_at")
-    return Tub("2", pictures, deleted or frozenset(), start_ns, "_timestamp_ms", False, count, records)
+    return Tub("2", images, deleted or frozenset(), start_ns, "_timestamp_ms", False, count, records)
 
 
 def finite(value: object) -> int | float | None:

@@ -15,6 +15,16 @@ from recorder.sources.udacity_recording import CSV_NAME
 _MAX_FOLDERS: Final = 200  # searched: a home folder may hold anything
 _MAX_SUGGESTED: Final = 3
 
+FORMAT_NAMES: Final = {
+    "udacity": "recording of Udacity's simulator",
+    "donkeycar": "DonkeyCar tub",
+    "lerobot": "LeRobot dataset",
+    "mcap": "MCAP log of another program",
+    "ros2 bag": "ROS 2 bag",
+    "csv": "pictures with a csv",
+}
+"""By the name that a log's metadata have as their source."""
+
 Kind = Literal["log", "lerobot", "tub", "udacity", ""]
 
 

@@ -16,7 +16,8 @@ from common.errors import did_you_mean, printable
 from recorder.errors import RecordingError
 from recorder.lerobot.dataset_format import ACTION_NAMES, LOG_TIME, LOG_VEHICLE, Feature, image_key
 from recorder.sources.lerobot_dataset import LeRobotFolder
-from recorder.sources.settings import Topics
+from recorder.sources.mcap_recording import side_cameras
+from recorder.sources.settings import ImportSettings
 
 _NUMBERS: Final = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32")
 _THROTTLE: Final = ("throttle", "gas", "accelerator")
@@ -76,19 +77,19 @@ class LeRobotFeatures:
         return [number for number in numbers if number is not None]
 
 
-def choose_features(dataset: LeRobotFolder, topics: Topics) -> LeRobotFeatures:
-    """`topics`: the user's choice. Raises RecordingError if a feature cannot be found."""
+def choose_features(dataset: LeRobotFolder, settings: ImportSettings) -> LeRobotFeatures:
+    """`settings`: the user's choice. Raises RecordingError if a feature cannot be found."""
     is_own = LOG_TIME in dataset.features and dataset.features.get(LOG_VEHICLE, Feature("", ())).shape == (4,)
-    cameras = _cameras(dataset, topics.image)
-    if is_own and topics.steering is None and topics.steering_scale == 1.0:
+    cameras = _cameras(dataset, settings)
+    if is_own and settings.steering is None:
         numbers = [
             FeatureNumber(LOG_VEHICLE, at, f"{LOG_VEHICLE}.{name}")
             for at, name in enumerate((*ACTION_NAMES, "speed_mph"))
         ]
         return LeRobotFeatures(numbers[0], numbers[1], numbers[2], numbers[3], cameras, True)
-    chosen = _steering_by_name(dataset) if topics.steering is None else _number(dataset, topics.steering)
+    chosen = _steering_by_name(dataset) if settings.steering is None else _number(dataset, settings.steering)
     return LeRobotFeatures(
-        replace(chosen, scale=topics.steering_scale),
+        chosen,
         _pedal(dataset, chosen, _THROTTLE),
         _pedal(dataset, chosen, ("brake",)),
         _speed(dataset),
@@ -97,14 +98,17 @@ def choose_features(dataset: LeRobotFolder, topics: Topics) -> LeRobotFeatures:
     )
 
 
-def _cameras(dataset: LeRobotFolder, image: str | None) -> dict[Camera, str]:
+def _cameras(dataset: LeRobotFolder, settings: ImportSettings) -> dict[Camera, str]:
     keys = dataset.image_keys
-    if image is not None:
-        if image not in keys:
-            raise RecordingError(
-                f"{dataset.root}: no pictures {printable(image)!r} for --image; it has {_listed(keys)}"
-            )
-        return {"center": image}
+    if settings.image is not None:
+        cameras: dict[Camera, str] = {"center": settings.image, **side_cameras(settings)}
+        for camera, key in cameras.items():
+            if key not in keys:
+                flag = "--image" if camera == "center" else "--camera"
+                raise RecordingError(
+                    f"{dataset.root}: no pictures {printable(key)!r} for {flag}; it has {_listed(keys)}"
+                )
+        return cameras
     if image_key("center") in keys:
         return {camera: image_key(camera) for camera in CAMERAS if image_key(camera) in keys}
     middle = [key for key in keys if key.rpartition(".")[2] in _CENTER]

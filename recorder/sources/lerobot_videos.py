@@ -97,7 +97,7 @@ class CameraVideos(Closeable):
         if path != self._path or self._container is None:
             self.close()
             # the format is given: FFmpeg's guess may follow a list of other files that is named .mp4
-            self._container = self._av.open(str(path), "r", format="mp4")
+            self._container = self._av.open(f"file:{path}", "r", format="mp4")
             self._path = path
         if not self._container.streams.video:
             raise RecordingError(f"{path}: no video in it; download it again")

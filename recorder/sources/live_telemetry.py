@@ -182,7 +182,7 @@ class _Listener:
         if self._last_s is not None:
             return (
                 "nothing was recorded: the simulator sends nothing while its keys are held; drive in its training"
-                " mode and follow that by `bc-record NAME --from FOLDER --watch`"
+                " mode and follow that by `bc-import FOLDER NAME --watch`"
             )
         if self._connections:
             return "nothing was recorded: a client connected, but sent no telemetry; start its autonomous mode"

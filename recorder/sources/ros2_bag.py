@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from mcap.records import Channel, Message, Schema
 
@@ -24,6 +25,8 @@ from common.progress import track
 from common.untrusted import read_bounded, real_path
 from recorder.errors import RecordingError
 from recorder.sources.mcap_messages import needs_ros
+
+Stored: TypeAlias = tuple[Schema, Channel, Message]
 
 METADATA: Final = "metadata.yaml"
 MCAP, SQLITE = ".mcap", ".db3"
@@ -116,21 +119,39 @@ class SqliteFile:
         with self._open() as database:
             return {str(name): str(kind) for name, kind in database.execute("SELECT name, type FROM topics")}
 
-    def messages(self, topic: str, bar: str) -> Iterator[tuple[Schema, Channel, Message]]:
+    def messages(self, topic: str, bar: str) -> Iterator[Stored]:
         """The messages on `topic` by time, as from an MCAP file, with a progress bar named `bar`."""
         with self._open() as database:
-            channels = {}
-            for number, kind, encoding in database.execute(
-                "SELECT id, type, serialization_format FROM topics WHERE name = ?", (topic,)
-            ):
-                schema = Schema(number, self._definition(database, str(kind)), "ros2msg", str(kind))
-                channels[number] = schema, Channel(number, topic, str(encoding), {}, number)
-            places = ", ".join("?" * len(channels))
-            where = f"FROM messages WHERE topic_id IN ({places})"
+            channels = self._channels(database, topic)
+            where = f"FROM messages WHERE topic_id IN ({', '.join('?' * len(channels))})"
             ((count,),) = database.execute(f"SELECT COUNT(*) {where}", tuple(channels))
             order = f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id"
             for number, time_ns, data in track(database.execute(order, tuple(channels)), bar, count):
                 yield *channels[number], Message(number, time_ns, data, time_ns, 0)
+
+    def places(self, topic: str, bar: str) -> Iterator[tuple[int, Callable[[], Stored]]]:
+        """The times of the messages on `topic`, and functions that read them."""
+        with self._open() as database:
+            channels = self._channels(database, topic)
+            where = f"WHERE topic_id IN ({', '.join('?' * len(channels))})"
+            ((count,),) = database.execute(f"SELECT COUNT(*) FROM messages {where}", tuple(channels))
+            order = f"SELECT id, topic_id, timestamp FROM messages {where} ORDER BY timestamp, id"
+            for number, channel, time_ns in track(database.execute(order, tuple(channels)), bar, count):
+                yield time_ns, partial(self._message, channels[channel], number, time_ns)
+
+    def _message(self, channel: tuple[Schema, Channel], number: int, time_ns: int) -> Stored:
+        with self._open() as database:
+            ((data,),) = database.execute("SELECT data FROM messages WHERE id = ?", (number,))
+        return *channel, Message(channel[1].id, time_ns, data, time_ns, 0)
+
+    def _channels(self, database: sqlite3.Connection, topic: str) -> dict[int, tuple[Schema, Channel]]:
+        channels = {}
+        for number, kind, encoding in database.execute(
+            "SELECT id, type, serialization_format FROM topics WHERE name = ?", (topic,)
+        ):
+            schema = Schema(number, self._definition(database, str(kind)), "ros2msg", str(kind))
+            channels[number] = schema, Channel(number, topic, str(encoding), {}, number)
+        return channels
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:

@@ -68,18 +68,6 @@ class ImportSettings:
     """How long a steering message stays in force."""
 
 
-@dataclass(frozen=True)
-class Topics:
-    """Topics of another program's log, or features of a dataset."""
-
-    image: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
-    """Topic of the pictures, or a LeRobot dataset's feature."""
-    steering: Annotated[str | None, tyro.conf.arg(metavar="TOPIC.FIELD")] = None
-    """The steering: /cmd_vel.angular.z; for LeRobot: action.steering."""
-    steering_scale: float = 1.0
-    """Factor to -1 (left) .. 1 (right); negative for ROS."""
-
-
 class ListenSettings(NamedTuple):
     """Where a simulator connects, its car, and when the recording ends."""
 

@@ -15,14 +15,13 @@ import math
 import os
 import re
 import string
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from common import Skipped
 from recorder.errors import RecordingError
-from recorder.sources.frame_rate import check_rate
+from recorder.sources.recorded_row import RecordedRow
+from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 MAX_LINE_BYTES: Final = 1 << 16  # a longer line is not a row
 
@@ -39,6 +38,8 @@ _NAME_PADDING = string.whitespace + '"'
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # PowerShell's `>` writes UTF-16
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_BUDDHIST_YEARS: Final = range(2500, 2700)
+_OTHER_YEARS: Final = range(1300, 1500)  # Persian, Hijri
 _LAST = datetime(2262, 1, 1, tzinfo=UTC)  # the last year whose nanoseconds fit into 63 bits
 
 # .NET writes numbers as in its user's country. Apart from decimal commas, there are "0/5" (Persian in Mono and
@@ -53,48 +54,32 @@ _FRACTION = re.compile(r"[0-9]*[1-9]([eE][+-]?[0-9]+)?")  # the simulator prints
 _Values = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class Row:
-    """One usable line of the csv."""
-
-    line: int  # in the csv, from 1
-    time_ns: int  # from the picture's name, read as UTC: the simulator writes local time without a zone
-    steering: float
-    throttle: float
-    brake: float
-    speed_mph: float
-    names: tuple[str, str, str]  # of the pictures' files, in the order of `CSV_CAMERAS`; "" without a picture
-
-
 class RowReader:
-    """Reads rows from a csv's lines, given in order. Unusable lines go to `skipped`.
+    """Reads rows from a csv's lines, given in order."""
 
-    `rate_hz`: rows a second, from 1970 on, instead of the times in the pictures' names.
-    """
-
-    def __init__(self, skipped: Skipped, rate_hz: float | None = None) -> None:
-        """Raises RecordingError for a rate that no camera has."""
-        check_rate(rate_hz)
-        self.named = set[str]()  # every picture that a line names
-        self._skipped = skipped
-        self._earlier_rows = set[tuple[str, str, str]]()  # the names of their pictures
+    def __init__(self) -> None:
         self._values = _ValueReader()
-        self._rate_hz = rate_hz
+        self._calendar = _Calendar()
         self._position = -1  # of the row, counting unusable rows: they took time, too
-        self._is_first = True
 
-    def read(self, line: int, content: bytes) -> Row | None:
-        """The row of this line (numbered from 1); None without one.
+    @property
+    def is_of_another_calendar(self) -> bool:
+        """True if a picture's name had a date that cannot be converted; times then begin in 1970."""
+        return self._calendar.first_day is not None
 
-        Raises RecordingError for a csv in UTF-16, for a header with another order, and if the first row's pictures
-        have times in their names, but a rate was given.
+    def read(self, line: int, content: bytes) -> RecordedRow | None:
+        """The row of this line (numbered from 1), with its time in nanoseconds and the names of its pictures'
+        files; None for a blank line or a header.
+
+        The time is that in a picture's name, read as UTC: the simulator writes local time without a zone. Raises
+        RecordingError for a csv in UTF-16, and for a header with another order.
         """
         if line == 1 and content.startswith(UTF16_MARKS):
             raise RecordingError("driving_log.csv: its text is UTF-16; save it as UTF-8")
+        name = f"line {line}"
         if len(content) > MAX_LINE_BYTES:
             self._position += 1
-            self._skipped.add(f"rows with more than {MAX_LINE_BYTES:,} bytes", f"line {line}")
-            return None
+            return RecordedRow(name, problem=f"rows with more than {MAX_LINE_BYTES:,} bytes")
         # Foreign encodings do not matter: only the file's name counts, and its undecodable bytes are kept as the
         # file system keeps them.
         text = os.fsdecode(content.removeprefix(_BYTE_ORDER_MARK) if line == 1 else content)
@@ -104,28 +89,15 @@ class RowReader:
             _check_order(line, text)
             return None
         self._position += 1
+        row = RecordedRow(name, position=self._position)
         try:
             names, rest = _names(text)
-            if names in self._earlier_rows:  # the same pictures twice could be on both sides of a split
-                raise ValueError("the pictures of an earlier row")
-            self._earlier_rows.add(names)
-            self.named.update(filter(None, names))
-            row = Row(line, self._time_ns(names), *self._values.read(rest), names)
+            row.pictures = {camera: name for camera, name in zip(CSV_CAMERAS, names, strict=True) if name}
+            row.time = self._calendar.time_in(names)
+            row.steering, row.throttle, row.brake, row.speed = self._values.read(rest)
         except ValueError as error:
-            self._skipped.add(f"rows with {error}", f"line {line}")
-            return None
-        self._is_first = False
+            row.problem = f"rows with {error}"
         return row
-
-    def _time_ns(self, names: tuple[str, str, str]) -> int:
-        name_time_ns = _time_in(names)
-        if self._rate_hz is not None:
-            if self._is_first and name_time_ns is not None:
-                raise RecordingError("--rate: the pictures' names have their times; leave it out")
-            return round(self._position * 1e9 / self._rate_hz)
-        if name_time_ns is None:
-            raise ValueError("no time in their pictures' names (--rate 20 takes them as 20 a second)")
-        return name_time_ns
 
 
 class _ValueReader:
@@ -172,15 +144,16 @@ class _ValueReader:
 
 
 def _four_numbers(cells: list[str]) -> _Values:
-    steering, throttle, brake, speed_mph = map(_number, cells)
+    steering, throttle, brake, speed_mph = map(read_number, cells)
     if not all(map(math.isfinite, (steering, throttle, brake, speed_mph))):
         raise ValueError("a value that is not finite")
     return steering, throttle, brake, speed_mph
 
 
-def _number(text: str) -> float:
-    """A number as .NET prints it. Other forms of Python are refused: 1_0, nan, digits of other scripts."""
-    text = text.replace(",", ".")
+def read_number(text: str) -> float:
+    """A number as .NET prints it in any country. Other forms of Python are refused: 1_0, nan, digits of other
+    scripts. Raises ValueError."""
+    text = text.translate(_LOCALIZED).replace(",", ".")
     if match := _TRAILING_MINUS.fullmatch(text):
         text = f"-{match[1]}"
     if not _NUMBER.fullmatch(text):
@@ -233,19 +206,33 @@ def _with_commas(text: str) -> str:
     return ",".join(f'"{cell.strip()}"' for cell in cells)
 
 
-def _time_in(names: tuple[str, str, str]) -> int | None:
-    """The time in one of the names. Raises ValueError if no log can hold it."""
-    has_time = False
-    for name in names:
-        if match := _TIME_IN_NAME.search(name):
-            has_time = True
-            year, month, day, hour, minute, second, ms = map(int, match.groups())
+class _Calendar:
+    """Reads the times in pictures' names. The simulator writes years and months of its user's calendar."""
+
+    def __init__(self) -> None:
+        self.first_day: int | None = None
+
+    def time_in(self, names: Sequence[str]) -> int | None:
+        """The time in one of the names, in nanoseconds; None without one. Raises ValueError for no time at all."""
+        match = next((match for name in names if (match := _TIME_IN_NAME.search(name))), None)
+        if match is None:
+            return None
+        year, month, day, hour, minute, second, ms = map(int, match.groups())
+        if year in _BUDDHIST_YEARS:
+            year -= 543
+        if hour > 23 or minute > 59 or second > 59:
+            raise ValueError("a time in their pictures' names that no clock shows")
+        within_day = timedelta(hours=hour, minutes=minute, seconds=second, milliseconds=ms)
+        if year in _OTHER_YEARS and 1 <= month <= 12 and 1 <= day <= 32:
+            # lunar and Persian months: the days between two months are not counted right, but they are a pause
+            days = (year * 12 + month) * 32 + day
+            self.first_day = days if self.first_day is None else self.first_day
+            since = timedelta(days=max(days - self.first_day, 0)) + within_day
+        else:
             try:
-                moment = datetime(year, month, day, hour, minute, second, ms * 1000, tzinfo=UTC)
+                since = datetime(year, month, day, tzinfo=UTC) + within_day - _EPOCH
             except ValueError:
-                continue
-            if _EPOCH <= moment < _LAST:
-                return (moment - _EPOCH) // timedelta(microseconds=1) * 1000
-    if has_time:
-        raise ValueError("a time in their pictures' names that no log can hold")
-    return None
+                raise ValueError("a time in their pictures' names that no log can hold") from None
+            if not timedelta(0) <= since < _LAST - _EPOCH:
+                raise ValueError("a time in their pictures' names that no log can hold")
+        return since // timedelta(microseconds=1) * 1000

@@ -8,7 +8,6 @@ time and the number of its row.
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Callable
 from itertools import islice
@@ -21,18 +20,20 @@ from common.interrupts import stop_signals
 from common.progress import StatusLine
 from common.untrusted import read_bounded
 from recorder.errors import RecordingError
-from recorder.log.session_car import Car
+from recorder.log.session_car import UDACITY, Car
 from recorder.log.writer import LogWriter
-from recorder.pictures.whole_picture import is_whole_jpeg
+from recorder.pictures.decoding import is_whole_picture
+from recorder.sources.clean import MAX_PICTURE_BYTES, NOT_WHOLE, REPEATED_ROWS, UNREADABLE, names_of, state_of
 from recorder.sources.csv_lines import CsvTail
 from recorder.sources.find_recording import is_udacity, recordings_near
-from recorder.sources.frame_rate import check_rate
-from recorder.sources.import_udacity import NOT_WHOLE, UNREADABLE_PICTURES, state_of, udacity_metadata
-from recorder.sources.imported_rows import Imported, SkippedEvents
+from recorder.sources.frame_rate import check_rate, describe_clock
+from recorder.sources.imported_rows import FROM_1970, Imported, SkippedEvents, recording_metadata
+from recorder.sources.picture_folder import WITHOUT_ROW
+from recorder.sources.recorded_row import RecordedRow
 from recorder.sources.udacity_csv import RowReader
-from recorder.sources.udacity_recording import CSV_NAME, MAX_PICTURE_BYTES, PictureFiles, check_csv
-from simulator.protocol.udacity_writer import CSV_CAMERAS
+from recorder.sources.udacity_recording import CSV_NAME, check_csv, udacity_pictures
 
+WITHOUT_TIME: Final = "rows with no time in their pictures' names (--rate 20 takes them as 20 a second)"
 POLL_S: Final = 0.25
 _PICTURES_A_ROUND: Final = 1000  # searched between two checks for signals and new rows
 
@@ -53,7 +54,9 @@ def watch_udacity(
     signals do not arrive. `on_started` gets the path of the growing file. Else as `import_udacity`.
     """
     check_rate(rate_hz)
-    metadata = udacity_metadata(folder, rate_hz, car)
+    metadata = recording_metadata("udacity", folder, car)
+    if rate_hz is not None:
+        metadata |= {"clock": describe_clock(rate_hz), **FROM_1970}
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"{folder}: is a file; give the folder of {CSV_NAME}, which may not exist yet")
     with (
@@ -87,7 +90,7 @@ class _GrowingRecording:
     """A growing recording: the counts of its log, and the pictures that are still awaited."""
 
     def __init__(self, folder: Path, writer: LogWriter, rate_hz: float | None, car: Car | None) -> None:
-        self._car = car
+        self._mph = (car or UDACITY).mph
         self.rows = 0
         self.pictures = 0
         self._events = SkippedEvents()
@@ -95,8 +98,12 @@ class _GrowingRecording:
         self._folder = folder
         self._writer = writer
         self._csv = CsvTail(folder / CSV_NAME)
-        self._reader = RowReader(self.skipped, rate_hz)
-        self._files = PictureFiles(folder, self.skipped)
+        self._reader = RowReader()
+        self._rate_hz = rate_hz
+        self._files = udacity_pictures(folder)
+        self._found = set[str]()  # paths of pictures
+        self._of_unusable_rows = set[str]()  # names of pictures
+        self._earlier = set[tuple[str, ...]]()  # names of the pictures of each row
         self._awaited: dict[str, list[tuple[Camera, int, int]]] = {}  # file name -> camera, sequence, time
         self._last_ns = 0
         self._last_s: float | None = None
@@ -118,12 +125,13 @@ class _GrowingRecording:
         self._take_pictures(list(self._awaited))
         for name, uses in self._awaited.items():
             for _, _, time_ns in uses:
-                self._events.at(self._writer, time_ns)
+                self._events.time_ns = time_ns
                 self._skip(name)
         if self.rows:
-            self._events.at(self._writer, self._last_ns)
-        with contextlib.suppress(OSError):
-            self._files.skip_without_row(self._reader.named)
+            self._events.time_ns = self._last_ns
+        found = self._found | {path for name in self._of_unusable_rows if (path := self._files.find(name))}
+        for name in self._files.without_row(found):
+            self.skipped.add(WITHOUT_ROW, name)
 
     def idle_s(self) -> float:
         """Seconds since the last row or picture; 0 before the first."""
@@ -155,32 +163,45 @@ class _GrowingRecording:
             row = self._reader.read(line, content)
             if row is None:
                 continue
-            self._last_ns = row.time_ns
-            self._events.at(self._writer, row.time_ns)
-            self._writer.vehicle(row.time_ns, self.rows, state_of(row, self._car))
-            for camera, name in zip(CSV_CAMERAS, row.names, strict=True):
-                if name:
-                    self._awaited.setdefault(name, []).append((camera, self.rows, row.time_ns))
+            names = names_of(row)
+            problem = row.problem or (REPEATED_ROWS if names in self._earlier else "")
+            self._earlier.add(names)
+            if problem or (time_ns := self._time_ns(row)) is None:
+                self.skipped.add(problem or WITHOUT_TIME, row.name)
+                self._of_unusable_rows.update(names)
+                continue
+            self._last_ns = time_ns
+            if not self.rows:
+                self._events.write_to(self._writer, time_ns)
+            self._events.time_ns = time_ns
+            self._writer.vehicle(time_ns, self.rows, state_of(row, self._mph))
+            for camera, name in zip(row.pictures, names, strict=True):
+                self._awaited.setdefault(name, []).append((camera, self.rows, time_ns))
             self.rows += 1
 
-    def _places(self) -> list[Path]:
-        with contextlib.suppress(OSError):
-            return self._files.places()
-        return []
+    def _time_ns(self, row: RecordedRow) -> int | None:
+        if self._rate_hz is None:
+            return None if row.time is None else int(row.time)
+        if row.time is not None:
+            raise RecordingError("--rate: the pictures' names have their times; leave it out")
+        return round((row.position or 0) * 1e9 / self._rate_hz)
 
     def _take_pictures(self, names: list[str]) -> bool:
         """Log the whole pictures among these awaited ones; the others go to the end of the queue. True if any was
         logged."""
-        places = self._places()
+        if names:
+            with contextlib.suppress(OSError, RecordingError):
+                self._files.refresh()
         pictures = self.pictures
         for name in names:
             uses = self._awaited.pop(name)
-            path = self._files.find(name, places)
+            path = self._files.find(name)
             jpeg = None if path is None else self._read(path)
-            if jpeg is None or not is_whole_jpeg(jpeg):
+            if jpeg is None or not is_whole_picture(jpeg):
                 self._awaited[name] = uses
                 continue
             self._last_s = time.monotonic()
+            self._found.add(str(path))
             for camera, sequence, time_ns in uses:
                 self._writer.picture(camera, time_ns, sequence, jpeg)
                 self.pictures += 1
@@ -188,17 +209,15 @@ class _GrowingRecording:
 
     def _skip(self, name: str) -> None:
         """Count an awaited picture as skipped, with the reason."""
-        places = self._places()
-        path = self._files.find(name, places)
+        path = self._files.find(name)
         if path is None:
-            self._files.skip_missing(name, places)
+            self._files.skip_missing(name, self.skipped)
         else:
-            self.skipped.add(UNREADABLE_PICTURES if self._read(path) is None else NOT_WHOLE, name)
+            self._found.add(path)
+            self.skipped.add(UNREADABLE if self._read(path) is None else NOT_WHOLE, name)
 
     def _read(self, path: str) -> bytes | None:
-        """The bytes of a picture; None if it cannot be read now, or is no longer a file of the recording."""
-        if not os.path.isfile(path) or not self._files.is_inside(path):  # noqa: PTH113
-            return None
+        """The bytes of a picture; None if it cannot be read now."""
         try:
             return read_bounded(path, MAX_PICTURE_BYTES)
         except OSError:

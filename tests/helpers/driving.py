@@ -31,6 +31,7 @@ from waiting import PATIENCE_S as PATIENCE_S
 
 COMMANDS = (
     "bc-record",
+    "bc-import",
     "bc-log",
     "bc-index",
     "bc-train",

@@ -15,15 +15,15 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from imports import topics
 from plain_mcap import plain_writer
-from recorder.sources.settings import Topics
 from udacity import jpeg
 
 S = 1_000_000_000
 START_NS = 1_720_880_000 * S
 CAMERA, VIDEO, WHEEL = "/camera/compressed", "/camera/video", "/wheel"
 _JSON_TYPES = {CAMERA: "foxglove.CompressedImage", VIDEO: "foxglove.CompressedVideo"}
-TOPICS = Topics(CAMERA, f"{WHEEL}.steering.angle")
+TOPICS = topics(CAMERA, f"{WHEEL}.steering.angle")
 
 Told = tuple[str, float, object]  # topic, seconds from the start, message
 Row = tuple[float, float, bytes]  # seconds from the start, steering, picture
@@ -86,7 +86,7 @@ IMAGE_TYPE, TWIST_TYPE, JOY_TYPE = (
     "geometry_msgs/msg/Twist",
     "sensor_msgs/msg/Joy",
 )
-ROS_TOPICS = Topics(CAMERA, "/cmd_vel.angular.z", steering_scale=-1.0)
+ROS_TOPICS = topics(CAMERA, "/cmd_vel.angular.z", steering_scale=-1.0)
 Kind = Callable[[float], tuple[str, str, object]]  # steering -> topic, type, message
 
 

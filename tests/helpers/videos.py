@@ -16,13 +16,13 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import get_types_from_msg
 
+from imports import topics
 from other_logs import START_NS, STORE, TWIST_TYPE, VIDEO, WHEEL, S, Told, angle, header, twist, write_mcap
-from recorder.sources.settings import Topics
 
 GOP = 10  # frames from one key frame to the next
 FRAME_S = 0.05
-VIDEO_TOPICS = Topics(VIDEO, f"{WHEEL}.steering.angle")
-ROS_VIDEO_TOPICS = Topics(VIDEO, "/cmd_vel.angular.z", steering_scale=-1.0)
+VIDEO_TOPICS = topics(VIDEO, f"{WHEEL}.steering.angle")
+ROS_VIDEO_TOPICS = topics(VIDEO, "/cmd_vel.angular.z", steering_scale=-1.0)
 
 PACKET_TYPE = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
 FOXGLOVE_TYPE = "foxglove_msgs/msg/CompressedVideo"

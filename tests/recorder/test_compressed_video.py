@@ -11,16 +11,21 @@ import pytest
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from rosbags.rosbag2 import StoragePlugin
 
+from logs import read_messages
 from other_logs import VIDEO, WHEEL
 from recorder import Log, RecordingError
 from recorder.pictures.picture_size import MAX_PIXELS, width_and_height
 from recorder.sources.compressed_video import VideoDecoder, is_video_type, video_in
 from recorder.sources.mcap_messages import FieldError, decoder_for
+from recorder.sources.recording_kinds import import_recording
 from recorder.sources.ros2_bag import SqliteFile
+from recorder.sources.settings import ImportSettings
 from videos import (
     FOXGLOVE_TYPE,
     GOP,
     PACKET_TYPE,
+    ROS_VIDEO_TOPICS,
+    VIDEO_TOPICS,
     encoded,
     number_of,
     write_video_bag,
@@ -193,3 +198,23 @@ def test_frames_in_a_ros2_bag(tmp_path: Path, msgtype: str) -> None:
         for schema, channel, message in SqliteFile(path).messages(VIDEO, "")
     ]
     assert found == [("libx264", data) for data in packets]
+
+
+def test_an_import_decodes_a_log_s_video_and_says_so(tmp_path: Path) -> None:
+    """The first frames have no key frame before them; pictures without steering in time are decoded, too."""
+    source = write_video_log(tmp_path / "video.mcap", encoded(FRAMES)[3:])
+    settings = ImportSettings(image=VIDEO, steering=VIDEO_TOPICS.steering)
+    done = import_recording(source, tmp_path / "log.mcap", settings)
+    pictures = [number_of(picture.data) for _, picture in read_messages(done.path)["/camera/center"]]
+    assert pictures == list(range(GOP, FRAMES))
+    assert done.skipped.counts == {
+        "messages of a video without a whole picture (after damage, until a key frame)": GOP - 3
+    }
+    assert done.notices == ["decoded from videos and encoded anew: these are not the camera's original pictures"]
+
+
+def test_an_import_decodes_a_bag_s_video(tmp_path: Path) -> None:
+    bag = write_video_bag(tmp_path / "bag", StoragePlugin.SQLITE3, encoded(FRAMES))
+    done = import_recording(bag, tmp_path / "log.mcap", ROS_VIDEO_TOPICS)
+    pictures = [number_of(picture.data) for _, picture in read_messages(done.path)["/camera/center"]]
+    assert pictures == list(range(FRAMES))

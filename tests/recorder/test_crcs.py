@@ -27,7 +27,7 @@ from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
 from plain_mcap import by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from recorder.topics import ROW_TOPICS, VEHICLE
 from recorder.upkeep.check import check, is_whole
@@ -377,8 +377,8 @@ def test_an_import_of_such_a_log_says_so_and_its_log_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_mcap(tmp_path / "other.mcap", DRIVE, enable_crcs=False)
-    line = ["--from", path, "--image", CAMERA, "--steering", TOPICS.steering, "--sessions", tmp_path / "sessions"]
-    assert call(bc_record, "mine", *line) == 0
+    line = [path, "mine", "--image", CAMERA, "--steering", TOPICS.steering, "--sessions", tmp_path / "sessions"]
+    assert call(bc_import, *line) == 0
     assert capsys.readouterr().err.count("written without CRCs") == 1
     imported = contents(tmp_path / "sessions" / "mine.mcap")
     assert any(b"written without CRCs" in message.data for message in imported.of("/events"))

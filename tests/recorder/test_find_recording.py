@@ -10,12 +10,12 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from driving import one_line_in
+from imports import topics
 from logs import read_messages
 from other_logs import DRIVE, write_bag, write_mcap
 from recorder import RecordingError, import_udacity
-from recorder.cli import main
+from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
-from recorder.sources.settings import Topics
 from tubs import record_2, write_tub_2
 from udacity import call, make_recording, paths
 
@@ -113,7 +113,7 @@ def test_a_log_of_this_toolkit_needs_no_import(
     monkeypatch.chdir(tmp_path)
     make_recording(tmp_path / "drive", CSV, [0])
     log = import_udacity(tmp_path / "drive", tmp_path / "mine" / "log.mcap").path
-    assert call(main, "x", "--from", log) == 1
+    assert call(main, log, "x") == 1
     assert "a log of this toolkit, which needs no import: copy it into sessions/" in (one_line_in(capsys))
     with pytest.raises(RecordingError, match="a session already: `bc-index`"):
         import_recording(log, log.with_name("x.mcap"))
@@ -126,7 +126,7 @@ def test_one_whose_topics_are_given_is_read_like_any_other(tmp_path: Path) -> No
     """The left camera as if it were the centre."""
     make_recording(tmp_path / "drive", CSV, [0])
     log = import_udacity(tmp_path / "drive", tmp_path / "log.mcap").path
-    done = import_recording(log, tmp_path / "left.mcap", Topics("/camera/left", "/vehicle.steering"))
+    done = import_recording(log, tmp_path / "left.mcap", topics("/camera/left", "/vehicle.steering"))
     [(_, picture)] = read_messages(done.path)["/camera/center"]
     [(_, left)] = read_messages(log)["/camera/left"]
     assert picture.data == left.data
@@ -147,8 +147,7 @@ def test_what_is_hardly_a_file_is_no_log_of_ours(tmp_path: Path, content: bytes)
 
 @pytest.mark.parametrize("given", ["mycar/data", "robot/bag", "robot/bag/bag.mcap"])
 def test_what_cannot_be_followed_is_refused(home: Path, capsys: pytest.CaptureFixture[str], given: str) -> None:
-    line = ["x", "--from", home / given, "--watch", "--sessions", home / "sessions"]
-    assert call(main, *line) == 1
+    assert call(main, home / given, "x", "--watch", "--sessions", home / "sessions") == 1
     assert "--watch follows folders of the Udacity simulator" in capsys.readouterr().err
 
 

@@ -20,9 +20,7 @@ from logs import read_messages
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import LogWriter, import_udacity
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.import_donkeycar import import_tub
-from recorder.sources.import_lerobot import import_lerobot
-from recorder.sources.import_mcap import import_mcap
+from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import SimulatedDrive
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_2, write_tub_2
@@ -59,10 +57,10 @@ each_kind = pytest.mark.parametrize(
     ("make", "record"),
     [
         (recording, import_udacity),
-        (tub, import_tub),
-        (mcap, lambda source, log, **force: import_mcap(source, log, TOPICS, **force)),
-        (bag, lambda source, log, **force: import_mcap(source, log, ROS_TOPICS, **force)),
-        (dataset, import_lerobot),
+        (tub, import_recording),
+        (mcap, lambda source, log, **force: import_recording(source, log, TOPICS, kind="log", **force)),
+        (bag, lambda source, log, **force: import_recording(source, log, ROS_TOPICS, **force)),
+        (dataset, import_recording),
         (recording, lambda _, log, **force: record_simulated(SHORT_DRIVE, log, **force)),
     ],
     ids=["Udacity", "tub", "mcap", "bag", "LeRobot", "built-in"],

@@ -19,13 +19,13 @@ from lerobot_logs import decoded, jpeg, write_drives
 from logs import START_NS, read_messages
 from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
-from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of, stored_car
 from recorder.rows.row_quality import drive_numbers
-from recorder.sources.import_lerobot import import_lerobot
-from recorder.sources.settings import Topics
+from recorder.sources.recording_kinds import import_recording
+from recorder.sources.settings import ImportSettings
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
 from udacity import call
@@ -35,8 +35,8 @@ LENGTHS = [3, 2]
 STEERING = [-0.5, 0.0, 0.25, 0.5, 1.0]
 
 
-def imported(folder: Path, *, overwrite: Any = False, **topics: Any) -> Imported:
-    return import_lerobot(folder, folder.parent / "imported.mcap", Topics(**topics), overwrite=overwrite)
+def imported(folder: Path, *, overwrite: bool = False, **said: Any) -> Imported:
+    return import_recording(folder, folder.parent / "imported.mcap", ImportSettings(**said), overwrite=overwrite)
 
 
 def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:
@@ -80,7 +80,7 @@ def test_an_export_comes_back_as_it_was(tmp_path: Path, speed_mph: float) -> Non
 
 
 @pytest.mark.parametrize("flags", [{}, {"steering": "action.steering"}])
-def test_an_export_of_the_version_before_comes_back(tmp_path: Path, flags: dict[str, str]) -> None:
+def test_an_export_of_the_version_before_comes_back(tmp_path: Path, flags: dict[str, Any]) -> None:
     """Its state was one number, the speed."""
     log = write_drives(tmp_path / "two.mcap")
     export_lerobot([log], tmp_path / "out")
@@ -225,17 +225,17 @@ def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureF
     }
     theirs = write_dataset(tmp_path / "theirs", features, columns, LENGTHS)
     sessions = ["--sessions", tmp_path / "sessions"]
-    assert call(bc_record, "mine", "--from", theirs, *sessions) == 1
+    assert call(bc_import, theirs, "mine", *sessions) == 1
     assert "Give --image, one of observation.images.a, observation.images.b" in capsys.readouterr().err
     image = ["--image", "observation.images.b"]
-    assert call(bc_record, "mine", "--from", theirs, *sessions, *image) == 1
+    assert call(bc_import, theirs, "mine", *sessions, *image) == 1
     assert "Give --steering, one of action.0, action.1" in capsys.readouterr().err
     steering = ["--steering", "action.1", "--steering-scale", -0.1]
-    assert call(bc_record, "mine", "--from", theirs, *sessions, *image, *steering) == 0
+    assert call(bc_import, theirs, "mine", *sessions, *image, *steering) == 0
     by_topic = content(tmp_path / "sessions/mine.mcap")
     assert [row[2] for row in by_topic["/vehicle"]] == pytest.approx([-value for value in STEERING])
     assert [row[2] for row in by_topic["/camera/center"]] == [jpeg("right", row) for row in range(5)]
-    assert call(bc_record, "mine", "--from", theirs, "--rate", 20, "--force", *sessions) == 1
+    assert call(bc_import, theirs, "mine", *image, *steering, "--rate", 20, "--force", *sessions) == 1
     assert "its frames have their times" in capsys.readouterr().err
 
 
@@ -248,7 +248,7 @@ def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.Ca
         total_episodes=6,
         total_frames=9,
     )
-    assert call(bc_record, "gaps", "--from", theirs, "--sessions", tmp_path) == 3
+    assert call(bc_import, theirs, "gaps", "--sessions", tmp_path) == 3
     said = capsys.readouterr()
     assert "episodes that are counted but missing: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
     assert "frames that are counted but missing: 1 (5 of 9)" in said.err
@@ -267,7 +267,7 @@ def test_frames_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     assert done.rows == 1
     assert dict(done.skipped.counts) == {
         "pictures that are not whole JPEG or PNG files": 1,
-        "frames without a picture": 2,
+        "frames without a picture": 1,
         "frames whose steering is not a finite number": 1,
     }
 
@@ -357,5 +357,5 @@ def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
 
 def test_a_folder_beside_it_is_suggested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     theirs = others(tmp_path / "theirs")
-    assert call(bc_record, "mine", "--from", theirs / "data", "--sessions", tmp_path) == 1
+    assert call(bc_import, theirs / "data", "mine", "--sessions", tmp_path) == 1
     assert f"did you mean {theirs}?" in capsys.readouterr().err

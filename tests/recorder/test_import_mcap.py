@@ -28,6 +28,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from common import UserError
 from driving import one_line_in
+from imports import topics
 from logs import flip_bit, read_messages
 from other_logs import (
     CAMERA,
@@ -53,11 +54,10 @@ from other_logs import (
 )
 from plain_mcap import plain_writer
 from recorder import Imported, Log, LogError, RecordingError
-from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.sources.find_recording import kind_of
-from recorder.sources.import_mcap import import_mcap
 from recorder.sources.recording_kinds import import_recording
-from recorder.sources.settings import Topics
+from recorder.sources.settings import ImportSettings
 from udacity import call
 
 
@@ -78,11 +78,11 @@ def rows_of(log: Path) -> list[Row]:
     return rows
 
 
-def imported(source: Path, topics: Topics = TOPICS) -> Imported:
-    return import_mcap(source, source.parent / "imported" / "log.mcap", topics)
+def imported(source: Path, topics: ImportSettings = TOPICS) -> Imported:
+    return import_recording(source, source.parent / "imported" / "log.mcap", topics)
 
 
-def error_of(source: Path, topics: Topics = TOPICS) -> str:
+def error_of(source: Path, topics: ImportSettings = TOPICS) -> str:
     """The one line of the error; nothing is written."""
     with pytest.raises(RecordingError) as error:
         imported(source, topics)
@@ -112,8 +112,8 @@ def test_every_picture_gets_the_last_steering_before_it(tmp_path: Path, options:
 
 def test_the_log_says_where_it_comes_from(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    topics = Topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
-    with Log(imported(source, topics).path) as log:
+    said = topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
+    with Log(imported(source, said).path) as log:
         expected = {
             "source": "mcap",
             "recording": "other.mcap",
@@ -153,7 +153,7 @@ def test_a_field_of_a_protobuf_message_may_be_nested_and_in_a_list(tmp_path: Pat
     poses.poses.add().position.y = 0.125
     poses.poses.add().position.y = 0.5
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, poses), (CAMERA, 0.1, image(PICTURES[0]))])
-    done = imported(source, Topics(CAMERA, f"{WHEEL}.poses.1.position.y"))
+    done = imported(source, topics(CAMERA, f"{WHEEL}.poses.1.position.y"))
     assert rows_of(done.path) == [(0.1, 0.5, PICTURES[0])]
 
 
@@ -163,7 +163,7 @@ def test_the_topic_is_the_longest_one(tmp_path: Path) -> None:
         ("/car.wheel", 0.0, {"x": 0.2}),
         (CAMERA, 0.1, image(PICTURES[0])),
     ]
-    done = imported(write_mcap(tmp_path / "other.mcap", told), Topics(CAMERA, "/car.wheel.x"))
+    done = imported(write_mcap(tmp_path / "other.mcap", told), topics(CAMERA, "/car.wheel.x"))
     assert [steering for _, steering, _ in rows_of(done.path)] == [0.2]
 
 
@@ -185,30 +185,33 @@ def test_pictures_without_a_steering_in_time_are_left_out_and_named(tmp_path: Pa
     assert rows_of(done.path) == [(0.5, 0.5, PICTURES[0]), (1.5, 0.5, PICTURES[1])]
     assert list(done.skipped) == [
         ("pictures before the first steering", f"{CAMERA} at 1720880000.000 s"),
-        ("pictures whose last steering is over 1 s old", f"{CAMERA} at 1720880001.501 s"),
+        (
+            "pictures whose last steering is over 1 s old (--max-steering-age SECONDS allows more)",
+            f"{CAMERA} at 1720880001.501 s",
+        ),
     ]
     events = [event.message for _, event in read_messages(done.path)["/events"]]
     assert len(events) == 2
 
 
 def test_the_scale_turns_left_into_minus(tmp_path: Path) -> None:
-    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), Topics(CAMERA, TOPICS.steering, -2.0))
+    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), topics(CAMERA, TOPICS.steering, -2.0))
     assert [steering for _, steering, _ in rows_of(done.path)] == [-0.5, 1.0, 1.0]
     assert len(done.skipped) == 0
 
 
 def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
-    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), Topics(CAMERA, TOPICS.steering, 8.0))
+    done = imported(write_mcap(tmp_path / "other.mcap", DRIVE), topics(CAMERA, TOPICS.steering, 8.0))
     assert [steering for _, steering, _ in rows_of(done.path)] == [2.0, -4.0, -4.0]
     assert len(done.skipped) == 3
-    assert all("--steering-scale" in reason for reason in done.skipped.counts)
+    assert all("steering beyond -1..1" in reason for reason in done.skipped.counts)
 
 
 @pytest.mark.parametrize("scale", [0.0, math.nan, math.inf])
 def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float, capsys: pytest.CaptureFixture[str]) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
     flags = ["--image", CAMERA, "--steering", TOPICS.steering, "--steering-scale", scale]
-    assert call(bc_record, "mine", "--from", source, *flags, "--sessions", tmp_path) == 2
+    assert call(bc_import, source, "mine", *flags, "--sessions", tmp_path) == 2
     assert "--steering-scale" in one_line_in(capsys)
 
 
@@ -278,8 +281,8 @@ def test_a_damaged_chunk_is_an_error_that_says_what_to_do(tmp_path: Path) -> Non
 
 def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    for topics in (Topics("/cam", TOPICS.steering), Topics(CAMERA, "/wheels.steering.angle")):
-        told = error_of(source, topics)
+    for said in (topics("/cam", TOPICS.steering), topics(CAMERA, "/wheels.steering.angle")):
+        told = error_of(source, said)
         assert f"{CAMERA} (foxglove.CompressedImage), /lidar (car.Wheel), {WHEEL} (car.Wheel)" in told
 
 
@@ -297,12 +300,12 @@ def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
 )
 def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str, told: str) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    assert told in error_of(source, Topics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
+    assert told in error_of(source, topics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
 
 
 def test_an_unknown_field_of_a_protobuf_message_too(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, PosesInFrame()), DRIVE[1]])
-    told = error_of(source, Topics(CAMERA, f"{WHEEL}.angle"))
+    told = error_of(source, topics(CAMERA, f"{WHEEL}.angle"))
     assert "the message has no angle; it has timestamp, frame_id, poses" in told
     assert "messages without" not in told  # the first one tells it of all
 
@@ -311,7 +314,7 @@ def test_pictures_that_are_not_compressed_are_named_by_their_type(tmp_path: Path
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, RawImage(width=320))])
     told = error_of(source)
     assert "foxglove.RawImage" in told
-    assert "foxglove.CompressedImage or sensor_msgs/CompressedImage" in told
+    assert "foxglove.CompressedImage, foxglove.CompressedVideo or sensor_msgs/CompressedImage" in told
 
 
 def test_without_any_steering_the_error_says_why(tmp_path: Path) -> None:
@@ -354,7 +357,7 @@ STORAGES = pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin
     ids=["Twist", "Joy", "AckermannDriveStamped"],
 )
 def test_a_ros2_bag(tmp_path: Path, storage: StoragePlugin, kind: Kind, field: str) -> None:
-    done = imported(write_bag(tmp_path / "bag", storage, kind), Topics(CAMERA, field, -1.0))
+    done = imported(write_bag(tmp_path / "bag", storage, kind), topics(CAMERA, field, -1.0))
     assert rows_of(done.path) == ROWS
     assert list(done.skipped) == []
     with Log(done.path) as log:
@@ -368,7 +371,7 @@ def test_an_older_bag_that_holds_no_definitions(tmp_path: Path, kind: Kind) -> N
     database.executescript("DROP TABLE message_definitions; DROP TABLE schema; DROP TABLE metadata;")
     database.close()
     field = "/cmd_vel.angular.z" if kind is twist else "/drive.drive.steering_angle"
-    assert rows_of(imported(bag, Topics(CAMERA, field, -1.0)).path) == ROWS
+    assert rows_of(imported(bag, topics(CAMERA, field, -1.0)).path) == ROWS
 
 
 def test_a_time_that_no_log_can_hold_is_left_out(tmp_path: Path) -> None:
@@ -380,7 +383,7 @@ def test_a_time_that_no_log_can_hold_is_left_out(tmp_path: Path) -> None:
     database.close()
     done = imported(bag, ROS_TOPICS)
     assert rows_of(done.path) == ROWS[:1]
-    assert done.skipped.counts == {"messages of a time that no log can hold": 2}
+    assert done.skipped.counts == {"messages with a time that no log can hold": 2}
 
 
 def test_a_definition_that_cannot_be_read_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -395,7 +398,7 @@ def test_a_definition_that_cannot_be_read_is_one_line(tmp_path: Path, capfd: pyt
 
 def test_a_file_out_of_a_bag(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
-    done = import_mcap(bag / "bag.mcap", tmp_path / "log.mcap", ROS_TOPICS)
+    done = import_recording(bag / "bag.mcap", tmp_path / "log.mcap", ROS_TOPICS)
     assert rows_of(done.path) == ROWS
     write_bag(tmp_path / "old", StoragePlugin.SQLITE3)
     assert "give the folder" in error_of(tmp_path / "old" / "old.db3", ROS_TOPICS)
@@ -452,7 +455,7 @@ def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlug
 
 
 def test_an_unknown_field_of_a_ros_message_lists_those_that_there_are(tmp_path: Path) -> None:
-    told = error_of(write_bag(tmp_path / "bag", StoragePlugin.MCAP), Topics(CAMERA, "/cmd_vel.angular.w"))
+    told = error_of(write_bag(tmp_path / "bag", StoragePlugin.MCAP), topics(CAMERA, "/cmd_vel.angular.w"))
     assert "angular has no w; it has x, y, z" in told
 
 
@@ -462,7 +465,7 @@ def test_raw_pictures_of_ros_are_named_by_their_type(tmp_path: Path) -> None:
         return "/raw", kind, STORE.types[kind](header(), 1, 1, "mono8", 0, 1, np.zeros(1, np.uint8))
 
     bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3, raw)
-    assert "are sensor_msgs/msg/Image" in error_of(bag, Topics("/raw", "/raw.width"))
+    assert "are sensor_msgs/msg/Image" in error_of(bag, topics("/raw", "/raw.width"))
 
 
 @pytest.mark.parametrize("package", ["mcap_ros2.decoder", "ruamel.yaml"])
@@ -499,8 +502,8 @@ def test_a_damaged_bag_is_never_worse_than_a_clear_error(tmp_path: Path, name: s
             damaged = damaged[: generator.randrange(len(damaged))]
         (bag / name).write_bytes(damaged)
         try:
-            topics = Topics(CAMERA, "/drive.drive.steering_angle")
-            import_mcap(bag, tmp_path / "log.mcap", topics, overwrite=True)
+            said = topics(CAMERA, "/drive.drive.steering_angle")
+            import_recording(bag, tmp_path / "log.mcap", said, overwrite=True)
         except UserError as error:
             errors.append(str(error))
     assert len(errors) > 5

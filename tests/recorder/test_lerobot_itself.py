@@ -20,7 +20,7 @@ from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
 from needs import LEROBOT_PYTHON
 from recorder import Log
 from recorder.lerobot.export import export_lerobot
-from recorder.sources.import_lerobot import import_lerobot
+from recorder.sources.recording_kinds import import_recording
 from repository import ROOT
 
 PROGRAM: Final = ROOT / "tests" / "helpers" / "lerobot_program.py"
@@ -142,7 +142,7 @@ def test_it_trains_act_on_an_export_and_act_answers_with_an_action(tmp_path: Pat
 @pytest.mark.parametrize("dtype", ["image", "video"])
 def test_what_it_writes_is_imported(tmp_path: Path, dtype: str) -> None:
     run_lerobot(tmp_path, "write", tmp_path / "theirs", dtype)
-    done = import_lerobot(tmp_path / "theirs", tmp_path / "theirs.mcap")
+    done = import_recording(tmp_path / "theirs", tmp_path / "theirs.mcap")
     assert (done.rows, done.pictures, list(done.skipped)) == (10, 10, [])
     with Log(done.path) as log:
         vehicle = log.vehicle()

@@ -20,6 +20,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from common.car import CAMERAS, Camera
 from driving import road_jpeg, run, run_code, untrained_run
+from imports import import_csv
 from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
 from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
@@ -31,11 +32,8 @@ from recorder.log.meant_gaps import MeantGap
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.gymnasium_flags import GymFlags
-from recorder.sources.import_csv import import_csv
-from recorder.sources.import_donkeycar import import_tub
-from recorder.sources.import_lerobot import import_lerobot
-from recorder.sources.import_mcap import import_mcap
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
+from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
@@ -238,16 +236,16 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     untimed = {number: record_1(number) for number in range(2)}
     for record in untimed.values():
         del record["milliseconds"]
-    import_tub(write_tub_1(folder / "tub 1", untimed, start_s=None), path["tub 1"])
-    import_tub(write_tub_2(folder / "tub 2", map(record_2, range(4))), path["tub 2"])
-    import_mcap(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
-    import_mcap(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
+    import_recording(write_tub_1(folder / "tub 1", untimed, start_s=None), path["tub 1"])
+    import_recording(write_tub_2(folder / "tub 2", map(record_2, range(4))), path["tub 2"])
+    import_recording(write_mcap(folder / "other.mcap", DRIVE), path["mcap"], TOPICS)
+    import_recording(write_bag(folder / "bag", StoragePlugin.MCAP), path["bag"], ROS_TOPICS)
     (folder / "pictures").mkdir()
     (folder / "pictures" / "0.jpg").write_bytes(one_picture(7))
     (folder / "pictures" / "log.csv").write_text("frame,angle\n0.jpg,0.5\n")
-    import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate_hz=20.0)
+    import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate=20.0)
     export_lerobot([path["udacity"]], folder / "dataset")
-    import_lerobot(folder / "dataset", path["lerobot"])
+    import_recording(folder / "dataset", path["lerobot"])
     settings = 'id = "toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
     (folder / "bar.toml").write_text(settings)
     bar = GymFlags(str(folder / "bar.toml"), expert="toy_environment:centre")

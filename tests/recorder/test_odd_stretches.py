@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common import Skipped
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.odd_stretches import OddStretch, odd_advice, odd_lines, odd_stretches
 from recorder.rows.row_quality import States
-from recorder.sources.udacity_recording import UdacityRecording
+from recorder.sources.udacity_recording import read_udacity
 from recorder.upkeep.log_info import describe
 
 RATE_HZ = 10
@@ -159,9 +158,9 @@ def test_on_real_recordings_the_crashes_are_found_and_nothing_else(recordings: P
     and the tree at which the jungle ends."""
     by_name = {}
     for name in ("lake_windows", "lake_14hz", "jungle_linux", "mountain_linux"):
-        rows = [row for row, _ in UdacityRecording(recordings / name, Skipped()).rows()]
-        values = [(row.steering, row.throttle, row.brake, row.speed_mph) for row in rows]
-        time_ns = np.array([row.time_ns for row in rows])
+        rows = [row for row in read_udacity(recordings / name).rows if not row.problem]
+        values = [(row.steering, row.throttle, row.brake, row.speed) for row in rows]
+        time_ns = np.array([row.time for row in rows])
         odd = odd_stretches(States(np.arange(len(rows)), time_ns, *np.array(values).T.copy()))
         by_name[name] = [(stretch.kind, stretch.first_row, stretch.last_row) for stretch in odd]
     assert by_name == {

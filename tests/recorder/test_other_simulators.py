@@ -11,9 +11,12 @@ import pytest
 
 from driving import one_line_in
 from logs import read_messages
+from other_logs import DRIVE, TOPICS, write_mcap
 from recorder import Imported, Log, LogWriter, RecordingError, import_udacity
-from recorder.cli import main
-from recorder.sources.import_donkeycar import import_tub
+from recorder.cli import main as bc_record
+from recorder.import_cli import main
+from recorder.sources.recording_kinds import import_recording
+from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_follow import watch_udacity
 from tubs import record_1, write_tub_1
 from udacity import call, jpeg, make_recording, paths
@@ -91,11 +94,11 @@ def test_pictures_without_times_name_the_flag(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     make_folder(tmp_path / "torcs")
-    assert call(main, "torcs", "--from", tmp_path / "torcs") == 1
-    assert "no time in their pictures' names (--rate 20 takes them as 20 a second)" in one_line_in(capsys)
-    assert call(main, "torcs", "--from", tmp_path / "torcs", "--rate", 20) == 0
+    assert call(main, tmp_path / "torcs", "torcs") == 1
+    assert "its rows have no times: give --rate ROWS_A_SECOND, such as 20" in one_line_in(capsys)
+    assert call(main, tmp_path / "torcs", "torcs", "--rate", 20) == 0
     said = capsys.readouterr()
-    assert said.err == "next: `bc-index`\n"
+    assert said.err.splitlines()[-1] == "next: `bc-index`"
     assert "torcs.mcap: 4 rows, 4 pictures" in said.out
 
 
@@ -106,7 +109,7 @@ def test_a_rate_for_pictures_that_tell_their_times_is_refused(tmp_path: Path, re
         record(tmp_path / "drive", tmp_path / "log.mcap", 20)
     tub = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
     with pytest.raises(RecordingError, match=r"--rate: .*leave it out"):
-        import_tub(tub, tmp_path / "log.mcap", rate_hz=20)
+        import_recording(tub, tmp_path / "log.mcap", ImportSettings(rate=20))
     assert not (tmp_path / "log.mcap").exists()
 
 
@@ -123,19 +126,24 @@ def test_a_tub_without_times_at_another_rate(tmp_path: Path) -> None:
     records = {number: record_1(number) for number in range(4)}
     for values in records.values():
         del values["milliseconds"]
-    done = import_tub(write_tub_1(tmp_path / "tub", records, start_s=None), tmp_path / "log.mcap", rate_hz=10)
+    done = import_recording(
+        write_tub_1(tmp_path / "tub", records, start_s=None), tmp_path / "log.mcap", ImportSettings(rate=10)
+    )
     assert [message.log_time for message, _ in read_messages(done.path)["/vehicle"]] == [
         number * 100_000_000 for number in range(4)
     ]
     assert metadata_of(done.path)["clock"].startswith("10 Hz, as --rate said")
 
 
-@pytest.mark.parametrize("flags", [["--listen"], ["--from", "other.mcap", "--image", "/a", "--steering", "/b.c"]])
 def test_a_rate_where_every_message_has_its_time_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(main, "x", *flags, "--rate", 20, "--sessions", tmp_path) == (2 if "--listen" in flags else 1)
-    assert "--rate: " in capsys.readouterr().err
+    assert call(bc_record, "x", "--listen", "--rate", 20, "--sessions", tmp_path) == 2
+    assert "--rate" in capsys.readouterr().err
+    source = write_mcap(tmp_path / "other.mcap", DRIVE)
+    topics = ("--image", TOPICS.image, "--steering", TOPICS.steering)
+    assert call(main, source, "x", *topics, "--rate", 20, "--sessions", tmp_path) == 1
+    assert "--rate: its messages have their times; leave it out" in capsys.readouterr().err
 
 
 # Pictures of different sizes
@@ -173,7 +181,7 @@ def test_cameras_of_different_sizes_are_told(tmp_path: Path) -> None:
 def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
     (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
-    assert call(main, "car", "--from", folder, "--sessions", tmp_path) == 0
+    assert call(main, folder, "car", "--sessions", tmp_path) == 0
     printed = capsys.readouterr()
     assert "pictures of different sizes on /camera/center: 3 pictures of 160x120 (first: row 0)" in " ".join(
         printed.err.split()

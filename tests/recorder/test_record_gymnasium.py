@@ -168,7 +168,7 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         ([{}, *CENTRE, "--episodes", "0"], 2, "--episodes 0"),
         ([{}, *CENTRE, "--wander", "nan"], 2, "--wander nan"),
-        ([{}, *CENTRE, "--track", "mountain"], 2, "not for --gym"),
+        ([{}, *CENTRE, "--track", "mountain"], 2, "--track: not with --gym ID"),
         ([{}, *CENTRE, "--listen"], 2, "--listen: not with --gym"),
         (CENTRE, 2, "--expert: only with --gym ID"),
         (["--wander", "0.1"], 2, "--wander: only with --gym ID"),

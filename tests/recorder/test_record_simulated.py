@@ -136,8 +136,8 @@ def test_the_log_names_the_driver_and_is_indexed_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--from", "recording", "--driver", "keyboard"), "--from and --listen record other drives"),
-        (("--listen", "--driver", "mouse"), "--from and --listen record other drives"),
+        (("--from", "recording", "--driver", "keyboard"), "--driver: no such flag"),
+        (("--listen", "--driver", "mouse"), "--driver: not with --listen"),
         (("--driver", "wheel"), "wheel"),
     ],
 )

@@ -123,7 +123,7 @@ def test_what_cannot_be_rewritten_says_what_to_do(old: Path, tmp_path: Path, kin
         path.write_bytes(old.read_bytes()[:-100_000])
     else:
         write_plain(path, CompressionType.NONE, range(5))
-    with pytest.raises(LogError, match="bc-log recover" if kind == "killed" else "bc-record NAME --from"):
+    with pytest.raises(LogError, match="bc-log recover" if kind == "killed" else "bc-import .* NAME"):
         rewrite(path, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
 

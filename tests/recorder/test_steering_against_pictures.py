@@ -15,7 +15,7 @@ from dataset.frames.frames_file import read_frames
 from dataset.frames.image_check_cache import write_image_check
 from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log, LogWriter
-from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.log.road_places import states_of
 from recorder.log_cli import main as bc_log
 from recorder.seen.steering_against_pictures import against_pictures
@@ -141,7 +141,7 @@ def test_an_import_says_that_it_is_mirrored(side: int, tmp_path: Path, capsys: p
     csv = tmp_path / "drive.csv"
     csv.write_text("\n".join(["image,t,steering,mph", *lines]))
     columns = ("image=image", "time_s=t", "steering=steering", "speed_mph=mph")
-    assert call(bc_record, "a", "--from", csv, "--columns", *columns, "--sessions", tmp_path / "sessions") == 0
+    assert call(bc_import, csv, "a", "--columns", *columns, "--sessions", tmp_path / "sessions") == 0
     assert ("a.mcap: its pictures turn the other way" in capsys.readouterr().err) is (side < 0)
 
 
