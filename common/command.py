@@ -66,8 +66,9 @@ def warn_skipped(skipped: Skipped, heading: str = "skipped") -> int:
 
 def flags_given(config: object, *names: str) -> str:
     """The flags among `names` whose value is not the default, as the user types them: "--laps, --force"."""
-    changed = [name for name in names if getattr(config, name) != getattr(type(config), name)]
-    return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+    defaults = {name: getattr(type(config), name) for name in names}
+    changed = [name for name in names if getattr(config, name) != defaults[name]]
+    return ", ".join(f"--{'no-' * (defaults[name] is True)}{name.replace('_', '-')}" for name in changed)
 
 
 @contextlib.contextmanager

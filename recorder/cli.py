@@ -1,52 +1,52 @@
-"""`bc-record`: records a drive to a log, or imports one."""
+"""`bc-record`: records a drive to a log."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import tyro
 
 from common.command import run_command
 from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import REMOVED_GYM_FLAGS, GymFlags
-from recorder.sources.settings import SimulatedDrive, Topics
+from recorder.sources.settings import SimulatedDrive
+
+_IMPORT_FLAGS: Final = ("--watch", "--image", "--steering", "--steering-scale", "--columns")
 
 
 @dataclass(frozen=True)
 class Record:
-    """Record a session to sessions/NAME.mcap: from the built-in simulator, a running one, or a recording.
+    """Record a session to sessions/NAME.mcap: from the built-in simulator, a person, or a running simulator. For
+    a recording of another program, there is bc-import.
 
     bc-record lake --track lake --laps 0.5
     bc-record mine --driver me --track lake --open
-    bc-record mine --from ~/beta_simulator/recording --watch
+    bc-record live --listen --viewer
     """
 
-    RARE: ClassVar[str] = "idle host port topics columns udacity copy_to page wander"
-    REMOVED: ClassVar[Mapping[str, str]] = REMOVED_GYM_FLAGS
+    RARE: ClassVar[str] = "idle host port udacity copy_to page wander"
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        **REMOVED_GYM_FLAGS,
+        **{flag: f"`bc-import SOURCE {flag}` has it" for flag in _IMPORT_FLAGS},
+    }
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the session, without folder or ending."""
-    source: Annotated[Path | None, tyro.conf.arg(name="from", metavar="SOURCE")] = None
-    """Import a Udacity folder, DonkeyCar tub, .mcap, ROS 2 bag, LeRobot dataset or csv."""
-    watch: bool = False
-    """Follow the folder of --from as it is written."""
     listen: bool = False
     """Record a simulator that connects."""
     idle: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """End --watch or --listen after this long without data."""
+    """End --listen after this long without data."""
     viewer: bool = False
-    """Show --watch or --listen in Rerun."""
+    """Show --listen in Rerun."""
     host: str = "127.0.0.1"
     """Address for --listen; 0.0.0.0 admits other machines."""
     port: int = 4567
     """Port for --listen."""
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
     """The car: steering angle, wheelbase, unit of speed; by default Udacity's."""
-    topics: tyro.conf.OmitArgPrefixes[Topics] = field(default_factory=Topics)
-    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHAT=COLUMN [WHAT=COLUMN ...]")] = ()
-    """Columns of a csv: image=frame steering=angle, and more."""
     rate: Annotated[float | None, tyro.conf.arg(metavar="HZ")] = None
     """Rows a second; built-in: 10 or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
@@ -74,4 +74,8 @@ def _record(config: Record) -> int:
 
 
 def main() -> None:
+    if any(word.partition("=")[0] == "--from" for word in sys.argv[1:]):  # of version 0.3
+        from recorder.import_cli import import_for_record
+
+        import_for_record(sys.argv[1:])
     run_command("bc-record", Record, _record)

@@ -115,7 +115,7 @@ def rows_of(tag: Tag) -> str:
 def _print_drives(info: LogInfo) -> None:
     if info.drives is None or info.flags is None:
         if not info.is_ours:
-            print_table("  written by another program: `bc-record NAME --from FILE` imports it")
+            print_table("  written by another program: `bc-import FILE NAME` imports it")
         elif info.session.get("source") != "prediction" and not any(
             topic.topic == VEHICLE and topic.messages for topic in info.topics
         ):

@@ -187,7 +187,7 @@ def rewrite(path: Path, to: Path, *, overwrite: bool = False) -> Written:
         if log.problem:
             raise LogError(f"{path}: {log.problem}; {recovery(path)} makes a finished log of it")
         if not log.is_ours:
-            importing = f"`bc-record NAME --from {shlex.quote(str(path))}`"
+            importing = f"`bc-import {shlex.quote(str(path))} NAME`"
             raise LogError(f"{path}: another program's log; import it with {importing}")
         tags, about = tags_of(log), {"rewritten_from": path.name}
         return _copied(log, to, lambda *_: True, tags, about, overwrite, same_as=log.fingerprint)
