@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import recorder.cli
+import recorder.import_cli
 from pages import drop, open_session, opened_page
 from recorder import Log
 from udacity import call, make_recording, paths
@@ -33,7 +33,7 @@ def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp
         page.press("input[name=name]", "Enter")
         open_session(page)  # which opens by itself
     sessions = tmp_path / "mine" / "sessions"
-    assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", sessions) == 0
+    assert call(recorder.import_cli.main, tmp_path / "mine" / "lake", "lake", "--sessions", sessions) == 0
     with (
         Log(tmp_path / "project" / "sessions" / "lake.mcap") as by_page,
         Log(sessions / "lake.mcap") as by_command,

@@ -70,6 +70,23 @@ def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
     assert bench.get(re.findall(r'href="(/sessions/[^"]*)"', bench.get(job).text)[0]).status == 200
 
 
+def test_an_import_is_the_command_with_its_flags(bench: Served) -> None:
+    said = {"columns": "image=frame steering=angle", "steering_offset": "-0.53", "time_unit": "us"}
+    asked = {"form": "import", "name": "mine", "source": "/my drives"} | said
+    flags = (
+        f"--columns image=frame steering=angle --steering-offset=-0.53 --time-unit=us --sessions={bench.folder}"
+    )
+    assert bench.get(f"/jobs.command?{urlencode(asked)}").text == f"bc-import '/my drives' mine {flags}/sessions"
+    unknown = bench.get(f"/jobs.command?{urlencode(asked | {'time_unit': 'h'})}").text
+    assert unknown == "unit of the times: expected one of s, ms, us, ns"
+
+
+def test_an_import_replaces_no_session(bench: Served) -> None:
+    write_log(bench.folder / "sessions" / "mine.mcap", [0.1] * 3)
+    refused = bench.post("/jobs", form="import", name="mine", source="/drives")
+    assert (refused.status, "mine.mcap: exists already" in refused.text) == (409, True)
+
+
 def test_a_field_of_several_names_takes_blanks_in_double_quotes(bench: Served) -> None:
     write_log(bench.folder / "sessions" / "my drive.mcap", [0.1] * 3)
     assert '<option value="&#34;my drive&#34;">' in bench.get("/jobs").text  # suggested as it is taken

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import dataset.cli
-import recorder.cli
+import recorder.import_cli
 import recorder.log_cli
 from common.car import Camera
 from logs import START_NS
@@ -87,7 +87,7 @@ def steered(row: Row, steering: float) -> Row:
 
 def a_real_recording(recordings: Path, folder: Path) -> list[Row]:
     """Two laps of a person on the lake track."""
-    assert call(recorder.cli.main, "whole", "--from", recordings / "lake_14hz", "--sessions", folder) == 0
+    assert call(recorder.import_cli.main, recordings / "lake_14hz", "whole", "--sessions", folder) == 0
     with Log(folder / "whole.mcap") as log:
         return [
             Row(message.log_time_ns, state, {"center": log.picture(message.sequence)})

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-import recorder.cli
+import recorder.import_cli
 import web.folders.uploads
 from logs import write_log
 from recorder import Log
@@ -57,17 +57,29 @@ def test_an_upload_is_imported_as_by_the_command(bench: Served, tmp_path: Path, 
     page = answer.json["page"]
     shown = bench.get(page).text
     assert "4 rows" in shown
-    assert "pictures that a row names but no folder has" in shown  # of the fourth row
+    assert "pictures that a row names and no file has" in shown  # of the fourth row
     assert page == "/import/lake"
     job = bench.post("/jobs", **values_of(shown)).headers["location"]
     wait_until(lambda: "running" not in bench.get(job).text)
     command = tmp_path / "mine" / "sessions"
-    assert call(recorder.cli.main, "lake", "--from", tmp_path / "mine" / "lake", "--sessions", command) == 3
+    assert call(recorder.import_cli.main, tmp_path / "mine" / "lake", "lake", "--sessions", command) == 3
     with Log(bench.folder / "sessions" / "lake.mcap") as by_page, Log(command / "lake.mcap") as by_command:
         assert by_page.vehicle() == by_command.vehicle()
     assert bench.ask("POST", f"{page}/remove").status == 303
     assert left_by(bench) == []
     assert bench.get(page).status == 404
+
+
+def test_what_the_page_asks_is_answered_in_its_form(bench: Served, tmp_path: Path) -> None:
+    steering = [0.53] * 10 + [0.15, 0.85]
+    csv = "".join(f"{paths(number)},{value},0.5,0,9.5\n" for number, value in enumerate(steering))
+    make_recording(tmp_path / "servo", csv, numbers=range(len(steering)))
+    shown = bench.get(f"/import.at?source={tmp_path / 'servo'}").text
+    assert "if that is straight on: <code>--steering-offset -0.53</code>?" in shown
+    job = bench.post("/jobs", **(values_of(shown) | {"steering_offset": "-0.53"})).headers["location"]
+    wait_until(lambda: "running" not in bench.get(job).text)
+    with Log(bench.folder / "sessions" / "servo.mcap") as log:
+        assert [round(value, 6) for value in log.vehicle()["steering"].to_pylist()] == [0.0] * 10 + [-0.38, 0.32]
 
 
 def test_a_recording_on_the_machine_is_found_by_its_folders(

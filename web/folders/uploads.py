@@ -20,6 +20,7 @@ import msgspec
 from common.errors import counted, printable
 from common.files import PART_SUFFIX, make_folder, part_path, remove_empty
 from common.untrusted_json import json_as
+from recorder.session_names import plain_name
 from web.errors import WebError
 
 MAX_UPLOAD_BYTES: Final = 64 << 30  # sent, and again unpacked
@@ -32,7 +33,6 @@ _SPARE_BYTES: Final = 64 << 20  # of the disk
 _BLOCK_BYTES: Final = 1 << 20
 _ZIP: Final = ".upload.zip"
 _UNWANTED: Final = frozenset({"__MACOSX", ".DS_Store", "Thumbs.db", _ZIP})
-_UNSAFE: Final = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
 class Manifest(msgspec.Struct):
@@ -219,12 +219,6 @@ def checked_name(name: str) -> Sequence[str]:
         if not is_plain or len(part.encode()) > _MAX_NAME_BYTES:
             raise WebError(f"{printable(name)[:200]}: this file name is not valid on every system; rename it", 422)
     return () if _UNWANTED & set(parts) else parts
-
-
-def plain_name(name: str) -> str:
-    """A plain name for a folder or session, made from a file's name: at most 60 letters."""
-    stem = re.sub(r"\.(zip|mcap|csv)$", "", name, flags=re.IGNORECASE)
-    return _UNSAFE.sub("-", stem).strip("-.")[:60] or "recording"
 
 
 def refuse_full(folder: Path, size: int) -> None:

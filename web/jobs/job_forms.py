@@ -18,6 +18,7 @@ from dataset.config import IndexConfig
 from model.config import Answers, Light, TrainConfig
 from model.network.names import BUILT_IN
 from model.runs.run_arguments import new_run_name
+from recorder.sources.settings import TimeUnit
 from web.errors import WebError, or_404
 from web.folders.project_folders import Place, ProjectFolders, key_of, shown_name
 
@@ -115,11 +116,16 @@ class JobForm:
             if len(value) > MAX_CHARACTERS or not value.isprintable():
                 raise WebError(f"{field.label}: at most {MAX_CHARACTERS:,} characters, on one line", 422)
             words += field.words(value)
-        if self.command == ("bc-record",):
+        if self.makes_session:
             refuse_taken(values["name"].strip(), "sessions", folders)
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
         return words + folders.flags(*self.folders, to_store=self.to_store)
+
+    @property
+    def makes_session(self) -> bool:
+        """Whether it makes a session of the name in its form."""
+        return self.command[0] in ("bc-record", "bc-import")
 
     def named(self, values: Mapping[str, str]) -> dict[str, str]:
         """The values of its fields, and the name of its run."""
@@ -189,10 +195,10 @@ FORMS: Final[Sequence[JobForm]] = (
         "import",
         "Import",
         "A recording of Udacity's simulator, DonkeyCar, ROS 2, LeRobot or MCAP becomes a session.",
-        ("bc-record",),
+        ("bc-import",),
         (
+            Field("source", "folder or file on this machine", "", is_needed=True),
             Field("name", "name of the session", "", is_needed=True),
-            Field("source", "folder or file on this machine", "--from", is_needed=True),
             Field("image", "topic of the pictures", hint="of a log or bag", suggestions="pictures", is_more=True),
             Field(
                 "steering",
@@ -201,9 +207,17 @@ FORMS: Final[Sequence[JobForm]] = (
                 suggestions="topics",
                 is_more=True,
             ),
-            Field("steering_scale", "factor of the steering", hint="1; -1 for ROS", is_more=True),
+            Field("camera", "side cameras", hint="left=TOPIC right=TOPIC", is_several=True, is_more=True),
+            Field("max_steering_age", "oldest steering, s", hint="1", is_more=True),
             Field("columns", "columns of a csv", hint="image=frame steering=angle", is_several=True, is_more=True),
+            Field("steering_scale", "factor of the steering", hint="1; -1 for ROS", is_more=True),
+            Field(
+                "steering_offset", "added to the steering", hint="0; -0.53 if 0.53 is straight on", is_more=True
+            ),
             Field("rate", "rows a second", hint="as recorded", is_more=True),
+            Field(
+                "time_unit", "unit of the times", hint="the usual one", choices=get_args(TimeUnit), is_more=True
+            ),
             Field("car", "car", hint="Udacity's; or built-in", is_more=True),
         ),
         ("sessions",),

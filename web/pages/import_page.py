@@ -16,12 +16,13 @@ from common.interrupts import uninterrupted
 from common.location import Url
 from common.untrusted import real_path, whole_number
 from recorder.log.tags import tags_path
+from recorder.session_names import plain_name
 from recorder.sources.find_recording import folders_in, recordings_in
-from recorder.sources.import_mcap import is_own_log
+from recorder.sources.mcap_recording import is_own_log
 from recorder.sources.recording_summary import summarize_recording
 from web.errors import WebError, or_404
 from web.folders.project_folders import key_of
-from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, plain_name, remove_upload, uploads_in
+from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench

@@ -41,7 +41,7 @@ def job_routes(bench: Workbench) -> list[Route]:
         form = form_of(form_values.get("form", ""))
         values = form.named(form_values)
         words, made = form.words(values, bench.folders), form.page_of(values, bench.folders)
-        job = bench.jobs.start(words, made, form.name, values, records=form.command == ("bc-record",))
+        job = bench.jobs.start(words, made, form.name, values, records=form.makes_session)
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     def whole_job(request: Request) -> Response:
