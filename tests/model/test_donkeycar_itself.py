@@ -22,7 +22,7 @@ from model.donkeycar_export import export_to_donkeycar
 from needs import DONKEYCAR_PYTHON
 from ports import free_ports
 from recorder import Log
-from recorder.sources.import_donkeycar import import_tub
+from recorder.sources.recording_kinds import import_recording
 from repository import ROOT
 
 PROGRAM: Final = ROOT / "tests" / "helpers" / "donkeycar_program.py"
@@ -103,7 +103,7 @@ def test_a_tub_that_it_writes_becomes_a_session(tmp_path: Path, pictures: Any) -
     angles, throttles = [-1.0, -0.25, 0.0, 0.5, 1.0], [0.2, 0.3, 0.4, 0.5, -0.1]
     np.savez(tmp_path / "frames.npz", pictures=pictures, angles=angles, throttles=throttles)
     run_donkeycar(tmp_path, PROGRAM, "tub", tmp_path / "frames.npz", tmp_path / "data")
-    done = import_tub(tmp_path / "data", tmp_path / "track.mcap")
+    done = import_recording(tmp_path / "data", tmp_path / "track.mcap")
     assert (done.rows, done.pictures, list(done.skipped)) == (5, 5, [])
     with Log(done.path) as log:
         vehicle = log.vehicle()

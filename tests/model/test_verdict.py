@@ -237,7 +237,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
                 epochs=[scaled(epoch(number, 0.2), 0.4, rmse_deg=90.0) for number in range(1, 11)],
             ),
             "recordings of other roads",
-            "bc-record more-2 --from ~/recording",
+            "bc-import ~/recording more-2",
         ),
         (
             numbers(drives=({"track": "lake", "set_speed_mph": 15.0, "interventions": 3},)),
@@ -262,7 +262,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(sound(logs={"a": {"log": "../sessions/a.mcap"}})),
             "one session",
-            "bc-record more --from ~/recording",
+            "bc-import ~/recording more",
         ),
         (
             numbers(sound(settings={"flip": False}), measured=TURNS),
