@@ -47,7 +47,7 @@ def examine() -> Diagnosis:
     if not sessions and not drives:
         wanted.begin.append(Advice("see the whole chain at work", "bc-demo"))
         wanted.begin.append(Advice("the built-in simulator's expert drives", "bc-record lake --track lake"))
-        wanted.begin.append(Advice("import a drive from elsewhere", "bc-record mine --from ~/recording"))
+        wanted.begin.append(Advice("import a drive from elsewhere", "bc-import ~/recording mine"))
     if drives:
         newest = max(drives, key=lambda info: info.start)
         wanted.last.append(Advice("the newest drive", f"bc-play {shlex.quote(newest.path)}"))

@@ -2,7 +2,7 @@
 
 python studies/drivers.py sessions/lake_windows.mcap sessions/jungle.mcap ... [--figure drivers.png]
 
-The logs are recordings of people (`bc-record NAME --from FOLDER`). Rows below 8 mph are left out, because people
+The logs are recordings of people (`bc-import FOLDER NAME`). Rows below 8 mph are left out, because people
 stand at walls with full lock. The figure compares the first log with the keyboard driver, and the last log with
 the mouse driver. The drivers drive without a renderer, so the study takes two minutes.
 """

@@ -11,7 +11,7 @@ from common.car import CAMERAS
 from dataset import IndexConfig, Samples, build_index
 from dataset.cli import main as bc_index
 from dataset.index.not_learnt import not_learnt_in
-from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
@@ -58,7 +58,7 @@ def test_it_is_named_at_the_import_and_not_learnt(
     monkeypatch.setenv("COLUMNS", "200")
     speeds = [line.rpartition(",")[2] for line in Path("student/driving_log.csv").read_text().splitlines()]
     assert min(map(float, speeds)) >= 0  # the simulator's have no sign
-    assert call(bc_record, "student", "--from", "student") == 0
+    assert call(bc_import, "student", "student") == 0
     said = capsys.readouterr().err
     assert "odd: driving backwards: rows " in said
     assert "`bc-log tag sessions/student.mcap exclude --odd` excludes all that is sure" in said

@@ -17,6 +17,7 @@ from driving import road_jpeg
 from model.cli import main as bc_train
 from other_logs import CAMERA, write_bag
 from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from repository import ROOT
 from tubs import record_1, record_2, write_tub_1, write_tub_2
 from udacity import call
@@ -27,7 +28,7 @@ STEERING = [math.sin(number / 5) * 0.8 for number in range(PICTURES)]
 
 def tub_1(folder: Path) -> list[object]:
     records = {number: record_1(number, **{"user/angle": value}) for number, value in enumerate(STEERING)}
-    return ["--from", write_tub_1(folder, records, pictures=range(PICTURES))]
+    return [write_tub_1(folder, records, pictures=range(PICTURES))]
 
 
 def tub_2(folder: Path) -> list[object]:
@@ -36,26 +37,26 @@ def tub_2(folder: Path) -> list[object]:
     written = write_tub_2(folder, records, pictures=[])
     for number in range(PICTURES):
         (folder / "images" / f"{number}_cam_image_array_.jpg").write_bytes(road_jpeg(number))
-    return ["--from", written]
+    return [written]
 
 
 def ros_2_bag(folder: Path) -> list[object]:
     rows = [(number / 10, value, road_jpeg(100 + number)) for number, value in enumerate(STEERING)]
     bag = write_bag(folder, StoragePlugin.SQLITE3, rows=rows)
-    return ["--from", bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1]
+    return [bag, "--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1]
 
 
 def car_racing(folder: Path) -> list[object]:
     settings = f"{(ROOT / 'examples/car_racing.toml').read_text()}args.max_episode_steps = {PICTURES}"
     (race := folder.with_suffix(".toml")).write_text(settings)
-    return ["--gym", race, "--expert", f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"]
+    return [folder.name, "--gym", race, "--expert", f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"]
 
 
-SOURCES: dict[str, Callable[[Path], list[object]]] = {
-    "tub_1": tub_1,
-    "tub_2": tub_2,
-    "bag": ros_2_bag,
-    "race": car_racing,
+SOURCES: dict[str, tuple[Callable[[], None], Callable[[Path], list[object]]]] = {
+    "tub_1": (bc_import, tub_1),
+    "tub_2": (bc_import, tub_2),
+    "bag": (bc_import, ros_2_bag),
+    "race": (bc_record, car_racing),
 }
 
 
@@ -64,8 +65,8 @@ def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, write in SOURCES.items():
-        assert call(bc_record, name, *write(tmp_path / name)) == 0
+    for name, (command, write) in SOURCES.items():
+        assert call(command, *write(tmp_path / name)) == 0
         said = capsys.readouterr()
         assert re.fullmatch(
             ("" if name != "race" else r"1 episode driven to the end, with a reward of .*\n") + "next: .*\n",
@@ -88,7 +89,7 @@ def test_what_learnt_from_tubs_goes_to_the_car(
 ) -> None:
     """There is no simulator of its road: `bc-drive` would wait for one."""
     monkeypatch.chdir(tmp_path)
-    assert call(bc_record, "track", *tub_2(tmp_path / "tub")) == 0
+    assert call(bc_import, *tub_2(tmp_path / "tub"), "track") == 0
     assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
     few = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
     assert call(bc_train, *few, "--name", "first") == 0

@@ -9,7 +9,7 @@ import pytest
 
 from dataset.cli import main as bc_index
 from logs import write_log
-from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from udacity import call, jpeg, make_recording, paths
 
@@ -99,7 +99,7 @@ def test_bc_index(capsys: pytest.CaptureFixture[str]) -> None:
 def test_an_import(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_recording(tmp_path / "drive", "".join(f"{paths(number)},0.1,0.5,0,9\n" for number in range(3)))
     shutil.rmtree("sessions")
-    assert call(bc_record, "mine", "--from", tmp_path / "drive") == 0
+    assert call(bc_import, tmp_path / "drive", "mine") == 0
     assert last_line(capsys) == "next: `bc-index`"
-    assert call(bc_record, "mine", "--from", tmp_path / "drive", "--sessions", "here") == 0
+    assert call(bc_import, tmp_path / "drive", "mine", "--sessions", "here") == 0
     assert last_line(capsys) == "next: `bc-index --sessions here`"

@@ -93,7 +93,7 @@ def _hint(session: str, folder: Location) -> str:
     """A hint at the session that the user may have meant."""
     path = Path(session)
     if (path / "driving_log.csv").is_file():
-        return f"this is a recording; `bc-record NAME --from {shlex.quote(session)}` converts it to a log"
+        return f"this is a recording; `bc-import {shlex.quote(session)} NAME` converts it to a log"
     meant = did_you_mean(path.name, [session_name(other) for other in finished_logs(folder)])
     return meant or f"the sessions are named by the files in {folder}"
 

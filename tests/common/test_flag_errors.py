@@ -12,6 +12,7 @@ from drive.doctor_cli import main as bc_doctor
 from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.cli import main as bc_sim
 from udacity import call
@@ -39,20 +40,30 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
         (bc_index, ["--recipe", "secret"], "bc-index: --recipe secret: expected one of original, people"),
         # an empty word, of a shell's unset variable, is not the current folder
-        (bc_record, ["a", "--from", ""], "bc-record: --from '': expected SOURCE"),
+        (bc_import, ["", "a"], "bc-import: '': expected SOURCE"),
         (bc_record, ["a", "--sessions="], "bc-record: --sessions '': expected PATH|URL"),
         (bc_train, ["--init", "a", "--takeovers", "b", ""], "bc-train: --takeovers b '': expected LOG [LOG ...]"),
         (bc_log, ["ls", ""], "bc-log: '': expected [FOLDER|LOG ...]"),
         (bc_doctor, [""], "bc-doctor: '': expected [PATH]"),
+        # a number that is never valid
+        (bc_import, ["a", "--rate", "-1"], "bc-import: --rate -1: give frames a second, 1 to"),
+        (
+            bc_import,
+            ["a", "--steering-scale", "0"],
+            "bc-import: --steering-scale 0: expected a number other than 0",
+        ),
+        (bc_import, ["a", "--steering-offset", "inf"], "bc-import: --steering-offset inf: expected a number"),
+        (bc_import, ["a", "--max-steering-age", "0"], "bc-import: --max-steering-age 0: expected a number of"),
         # mistyped or missing
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
         (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
-        (bc_record, ["a", "-from", "b"], "bc-record: -from: no such flag; did you mean --from?"),
-        (bc_record, ["a", "--form=b"], "bc-record: --form: no such flag; did you mean --from?"),
+        (bc_record, ["a", "-listen"], "bc-record: -listen: no such flag; did you mean --listen?"),
+        (bc_import, ["a", "--colums=b"], "bc-import: --colums: no such flag; did you mean --columns?"),
         (bc_log, ["info", "a", "--where", "row < 3"], "bc-log: --where: not a flag of this command; `"),
         (bc_index, ["--flip"], "bc-index: --flip: no such flag; did you mean --no-flip?"),
         (bc_index, ["--figures", "f"], "bc-index: --figures: was removed; bc-web shows the balance"),
+        (bc_record, ["a", "--watch"], "bc-record: --watch: was removed; `bc-import SOURCE --watch` has it"),
         (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),
         (bc_play, ["a", "--by", "place", "b"], "bc-play: b: one word too many after --by place; put words"),
         (

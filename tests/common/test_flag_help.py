@@ -12,6 +12,7 @@ from drive.evaluation.eval_cli import main as bc_eval
 from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
+from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from udacity import call
 from viz.cli import main as bc_play
@@ -24,7 +25,7 @@ def narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
 
 
-@pytest.mark.parametrize("command", [bc_record, bc_drive, bc_train, bc_index, bc_eval, bc_play, bc_log])
+@pytest.mark.parametrize("command", [bc_record, bc_import, bc_drive, bc_train, bc_index, bc_eval, bc_play, bc_log])
 def test_help_fits_on_a_screen(command: Callable[[], None], capsys: pytest.CaptureFixture[str]) -> None:
     assert call(command, "--help") == 0
     assert 10 < len(capsys.readouterr().out.splitlines()) <= SCREEN_LINES

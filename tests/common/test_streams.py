@@ -187,7 +187,7 @@ def test_listening_answers_whoever_reads_what_it_says(reader: type[Reader], tmp_
 
 @pytest.mark.parametrize("reader", [Head, Stuck, *TERMINALS])
 def test_a_recording_is_followed_to_its_end(reader: type[Reader], tmp_path: Path) -> None:
-    line = command("bc-record", "live", "--from", tmp_path / "drive", "--watch", "--idle", 0.1)
+    line = command("bc-import", tmp_path / "drive", "live", "--watch", "--idle", 0.1)
     with read_by(reader, line, cwd=tmp_path) as process:
         make_recording(tmp_path / "made", "".join(f"{paths(number)},0.1,0.5,0,9\n" for number in range(3)))
         (tmp_path / "made").rename(tmp_path / "drive")  # all at once: it does not wait long for the rest
@@ -227,7 +227,7 @@ LONG = [pytest.param(closed, marks=pytest.mark.long) for closed in ("2>&-", ">&-
 def test_streams_that_are_closed_from_the_start_get_into_no_file(closed: str, tmp_path: Path) -> None:
     """Else a file that is opened gets their number, and what any library prints."""
     make_recording(tmp_path / "drive", "".join(f"{paths(number)},0.1,0.5,0,9\n" for number in range(3)))
-    line = shlex.join(command("bc-record", "mine", "--from", tmp_path / "drive"))
+    line = shlex.join(command("bc-import", tmp_path / "drive", "mine"))
     done = subprocess.run(["sh", "-c", f"{line} {closed}"], cwd=tmp_path, env=environment(), check=False)
     assert done.returncode == 0
     assert run("bc-log", "check", tmp_path / "sessions" / "mine.mcap").returncode == 0

@@ -21,7 +21,7 @@ from lerobot_logs import jpeg, steering, write_drives
 from recorder import Log
 from recorder.lerobot.export import Exported
 from recorder.log.tags import Tag, add_tags
-from recorder.sources.import_lerobot import import_lerobot
+from recorder.sources.recording_kinds import import_recording
 from udacity import call
 
 START_NS, STEP_NS = 1_720_880_000_000_000_000, 100_000_000
@@ -96,7 +96,7 @@ def test_only_the_indexs_cameras_are_in_it(tmp_path: Path) -> None:
 
 def test_it_comes_back_as_a_log(tmp_path: Path) -> None:
     done, _ = exported(indexed(tmp_path))
-    back = import_lerobot(done.folder, tmp_path / "back.mcap")
+    back = import_recording(done.folder, tmp_path / "back.mcap")
     assert (back.rows, back.pictures, list(back.skipped)) == (20, 60, [])
 
 

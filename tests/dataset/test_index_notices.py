@@ -88,7 +88,7 @@ def test_a_path_that_is_no_log_is_told_by_what_may_be_meant(capsys: pytest.Captu
     recording.mkdir(parents=True)
     (recording / "driving_log.csv").touch()
     assert call(main, recording) == 1
-    told = "this is a recording; `bc-record NAME --from 'my simulator/recording'` converts it to a log"
+    told = "this is a recording; `bc-import 'my simulator/recording' NAME` converts it to a log"
     assert told in capsys.readouterr().err
 
 

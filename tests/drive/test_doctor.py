@@ -50,7 +50,7 @@ def test_an_empty_folder_gets_three_ways_to_begin(tmp_path: Path, capsys: pytest
     assert call(main, tmp_path) == 0
     *folders, first, second, third = capsys.readouterr().out.replace(".venv/bin/", "").splitlines()
     assert folders == ["sessions: no logs", "index: none", "runs: none", "drives: no logs"]
-    for line, program in ((first, "bc-demo"), (second, "bc-record lake"), (third, "bc-record mine --from")):
+    for line, program in ((first, "bc-demo"), (second, "bc-record lake"), (third, "bc-import ~/recording mine")):
         assert line.startswith(f"next: `cd {shlex.quote(str(tmp_path))} && ")
         assert program in line
 

@@ -76,7 +76,7 @@ def test_an_index_is_chosen_checked_and_exported(made: Toolkit) -> None:
 def test_every_kind_of_recording_is_imported(made: Toolkit) -> None:
     """Udacity's, a csv, a tub, another program's log, and LeRobot's with pictures and with videos."""
     to = ("--sessions", "imported")
-    made.do("bc-record", "udacity", "--from", "recording", *to)
+    made.do("bc-import", "recording", "udacity", *to)
     folder = made.folder
     rows = (folder / "recording" / "driving_log.csv").read_text().splitlines()
     (folder / "csv").mkdir()
@@ -87,17 +87,17 @@ def test_every_kind_of_recording_is_imported(made: Toolkit) -> None:
         (folder / "csv" / name).write_bytes((folder / "recording" / "IMG" / name).read_bytes())
         lines.append(f"{name},{number / 100}")
     (folder / "csv" / "data.csv").write_text("\n".join(lines))
-    made.do("bc-record", "csv", "--from", "csv", "--columns", "image=image", "steering=angle", "--rate", 10, *to)
-    made.do("bc-record", "tub", "--from", write_tub_2(folder / "tub", [record_2(n) for n in range(4)]), *to)
+    made.do("bc-import", "csv", "csv", "--columns", "image=image", "steering=angle", "--rate", 10, *to)
+    made.do("bc-import", write_tub_2(folder / "tub", [record_2(n) for n in range(4)]), "tub", *to)
     pairs = [((WHEEL, n / 10, angle(n / 50)), (CAMERA, n / 10, image(jpeg(90, n)))) for n in range(9)]
     write_mcap(folder / "other.mcap", (message for pair in pairs for message in pair))
     topics = ("--image", CAMERA, "--steering", f"{WHEEL}.steering.angle")
-    made.do("bc-record", "other", "--from", "other.mcap", *topics, *to)
+    made.do("bc-import", "other.mcap", "other", *topics, *to)
     log = write_drives(folder / "lerobot.mcap")
     for kind in ((), ("--video",)):
         name = f"lerobot{len(kind)}"
         made.do("bc-log", "export", log, "--lerobot", f"datasets/{name}", *kind)
-        made.do("bc-record", name, "--from", f"datasets/{name}", *to)
+        made.do("bc-import", f"datasets/{name}", name, *to)
 
 
 def test_gymnasium_is_there(made: Toolkit) -> None:

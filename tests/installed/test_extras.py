@@ -27,7 +27,7 @@ PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf
         ("scale", ("bc-index", "--ray")),
         ("scale", ("bc-log", "ls", "s3://bucket/sessions")),
         ("scale", ("bc-index", "--sessions", "s3://bucket/sessions")),
-        ("ros", ("bc-record", "ros", "--from", "BAG", "--image", CAMERA, "--steering", "/cmd_vel.angular.z")),
+        ("ros", ("bc-import", "BAG", "ros", "--image", CAMERA, "--steering", "/cmd_vel.angular.z")),
     ],
 )
 def test_a_missing_extra_is_named_before_any_work(
@@ -48,7 +48,7 @@ def test_an_extra_makes_its_commands_work(extra: tuple[str, Toolkit], tmp_path: 
     elif name == "ros":
         bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
         flags = ("--image", CAMERA, "--steering", "/cmd_vel.angular.z", "--steering-scale", -1)
-        toolkit.do("bc-record", "bag", "--from", bag, *flags, "--sessions", tmp_path)
+        toolkit.do("bc-import", bag, "bag", *flags, "--sessions", tmp_path)
     elif name == "scale":
         toolkit.do("bc-index", "--index", tmp_path / "index", "--block-s", 2, "--gap-s", 0, "--ray")
     elif name == "tensorboard":
