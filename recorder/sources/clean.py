@@ -170,15 +170,20 @@ def rows_to_write(cleaned: CleanRecording, events: SkippedEvents) -> Iterator[Im
         last_episode = row.episode
     if recording.folder is not None:
         if not pictures and not skipped.counts[NOT_WHOLE] and not skipped.counts[UNREADABLE]:
-            raise RecordingError(f"{recording.path}: none of its pictures is there; {recording.folder.why_none()}")
+            raise _without_pictures(recording)
         for name in filter(recording.is_picture, recording.folder.without_row(named)):
             skipped.add(WITHOUT_ROW, name)
     for reason, name in recording.missing():
         skipped.add(reason, name)
 
 
+def _without_pictures(recording: RawRecording) -> RecordingError:
+    why = recording.folder.why_none() if recording.folder is not None else ""
+    return RecordingError(f"{recording.path}: none of its pictures is there; {why}")
+
+
 def skip_unread(cleaned: CleanRecording, skipped: Skipped) -> None:
-    """Skip what an import would skip without reading a picture."""
+    """Skip what an import would skip without reading a picture. Raises RecordingError if no picture is there."""
     for row in cleaned.rows:
         if row.problem:
             skipped.add(row.problem, row.name)
@@ -192,6 +197,8 @@ def skip_unread(cleaned: CleanRecording, skipped: Skipped) -> None:
                 found.add(path)
             elif not row.problem:
                 folder.skip_missing(name, skipped)
+    if not found and any(not row.problem for row in cleaned.rows):
+        raise _without_pictures(cleaned.recording)
     for name in filter(cleaned.recording.is_picture, folder.without_row(found)):
         skipped.add(WITHOUT_ROW, name)
 
