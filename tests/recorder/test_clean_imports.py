@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Final
 
 import pytest
 
@@ -16,8 +18,27 @@ from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import ImportSettings
 from udacity import jpeg, paths
 
-every_format = pytest.mark.parametrize("made_as", list(FORMATS.values()), ids=list(FORMATS))
-timed_formats = pytest.mark.parametrize("made_as", list(FORMATS.values())[:-1], ids=list(FORMATS)[:-1])
+ALL: Final = tuple(FORMATS)
+TIMED: Final = ALL[:-1]  # LeRobot's episodes have frames, and their times
+TOLERATED: Final = {
+    "bytes after a JPEG's end": ALL,
+    "damaged pictures are left out": ALL,
+    "steering with a scale and an offset": ALL,
+    "asks for the middle of the steering": ALL,
+    "asks for the scale of the steering": ALL,
+    "rows out of order": TIMED,
+    "several drives, the later one first": TIMED,
+    "asks for the unit of the times": ("csv", "MCAP"),
+    "names with other case, slashes, folders": ("Udacity", "csv"),
+}
+"""What docs/importing.md shows, and the formats that have it. Each is a test here."""
+
+
+def in_formats(tolerated: str) -> pytest.MarkDecorator:
+    names = TOLERATED[tolerated]
+    return pytest.mark.parametrize("made_as", [FORMATS[name] for name in names], ids=names)
+
+
 Make = Callable[..., tuple[Path, ImportSettings]]
 
 ROWS: list[Row] = [(number / 20, (number - 6) / 10, jpeg(60 + number, number + 1)) for number in range(12)]
@@ -42,7 +63,7 @@ def steps_s_of(done: Imported) -> set[float]:
     return {round((after - before) / 1e9, 6) for before, after in pairwise(times)}
 
 
-@every_format
+@pytest.mark.parametrize("made_as", list(FORMATS.values()), ids=ALL)
 def test_the_rows_come_as_they_are(tmp_path: Path, made_as: Make) -> None:
     done = imported(made_as(tmp_path / "a", ROWS))
     assert (done.rows, done.pictures, list(done.skipped), steps_s_of(done)) == (12, 12, [], {0.05})
@@ -51,7 +72,7 @@ def test_the_rows_come_as_they_are(tmp_path: Path, made_as: Make) -> None:
     assert done.questions == []
 
 
-@every_format
+@in_formats("bytes after a JPEG's end")
 def test_bytes_behind_the_end_of_a_jpeg_do_not_matter(tmp_path: Path, made_as: Make) -> None:
     """A camera that hands out its buffer leaves zeros, or pieces of older pictures."""
     rows = [(time_s, steering, picture + bytes(700) + b"\xff\xd8old") for time_s, steering, picture in ROWS]
@@ -59,7 +80,7 @@ def test_bytes_behind_the_end_of_a_jpeg_do_not_matter(tmp_path: Path, made_as: M
     assert (done.pictures, list(done.skipped)) == (12, [])
 
 
-@every_format
+@in_formats("damaged pictures are left out")
 def test_a_picture_that_is_cut_off_costs_its_row_or_its_picture(tmp_path: Path, made_as: Make) -> None:
     rows = [*ROWS[:4], (ROWS[4][0], ROWS[4][1], ROWS[4][2][:-300]), *ROWS[5:]]
     done = imported(made_as(tmp_path / "a", rows))
@@ -67,7 +88,7 @@ def test_a_picture_that_is_cut_off_costs_its_row_or_its_picture(tmp_path: Path, 
     assert done.skipped.counts == {"pictures that are not whole JPEG or PNG files": 1}
 
 
-@every_format
+@in_formats("steering with a scale and an offset")
 def test_a_steering_with_an_offset_and_a_scale(tmp_path: Path, made_as: Make) -> None:
     """Pulses of 1000 to 2000 us, 1500 is straight on."""
     rows = [(time_s, 1500 + 500 * steering, picture) for time_s, steering, picture in ROWS]
@@ -78,7 +99,7 @@ def test_a_steering_with_an_offset_and_a_scale(tmp_path: Path, made_as: Make) ->
     assert done.questions == []
 
 
-@every_format
+@in_formats("asks for the middle of the steering")
 def test_a_middle_that_is_not_zero_is_asked_about_and_the_flag_mends_it(tmp_path: Path, made_as: Make) -> None:
     steering = [0.53, 0.53, 0.53, 0.15, 0.3, 0.53, 0.85, 0.7, 0.53, 0.53, 0.4, 0.53]
     rows = [(time_s, value, picture) for (time_s, _, picture), value in zip(ROWS, steering, strict=True)]
@@ -90,7 +111,7 @@ def test_a_middle_that_is_not_zero_is_asked_about_and_the_flag_mends_it(tmp_path
     assert done.questions == []
 
 
-@every_format
+@in_formats("asks for the scale of the steering")
 def test_steering_in_degrees_is_asked_about_and_the_flag_mends_it(tmp_path: Path, made_as: Make) -> None:
     rows = [(time_s, 40 * steering, picture) for time_s, steering, picture in ROWS]
     asked = imported(made_as(tmp_path / "a", rows))
@@ -99,7 +120,7 @@ def test_steering_in_degrees_is_asked_about_and_the_flag_mends_it(tmp_path: Path
     assert steering_of(done) == pytest.approx([steering for _, steering, _ in ROWS], abs=1e-6)
 
 
-@timed_formats
+@in_formats("rows out of order")
 @pytest.mark.parametrize(
     "order", [[1, 0, *range(2, 12)], [*range(11, -1, -1)], [*range(0, 12, 2), *range(1, 12, 2)]]
 )
@@ -109,7 +130,7 @@ def test_rows_out_of_order_are_sorted(tmp_path: Path, made_as: Make, order: list
     assert any("were sorted by time" in notice for notice in done.notices)
 
 
-@timed_formats
+@in_formats("several drives, the later one first")
 def test_another_drive_that_began_earlier_is_not_mixed_in(tmp_path: Path, made_as: Make) -> None:
     """A file of two drives, the later one first. A log has one clock, so its rows are sorted."""
     later = [(time_s + 100, steering, picture) for time_s, steering, picture in ROWS[:6]]
@@ -118,8 +139,8 @@ def test_another_drive_that_began_earlier_is_not_mixed_in(tmp_path: Path, made_a
     assert steering_of(done) == [steering for _, steering, _ in expected]
 
 
+@in_formats("asks for the unit of the times")
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6)])
-@pytest.mark.parametrize("made_as", [as_csv, as_mcap])
 def test_times_in_another_unit_are_asked_about_and_the_flag_mends_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_as: Make, unit: str, factor: float
 ) -> None:
@@ -132,7 +153,7 @@ def test_times_in_another_unit_are_asked_about_and_the_flag_mends_them(
     assert steps_s_of(imported(made_as(tmp_path / "b", rows), time_unit=unit)) == {0.05}
 
 
-@pytest.mark.parametrize("made_as", [as_csv, as_udacity])
+@in_formats("names with other case, slashes, folders")
 @pytest.mark.parametrize(
     "change",
     [str.upper, lambda name: f"C:\\drives\\{name}", lambda name: f"./{name}"],
@@ -248,3 +269,13 @@ def test_udacity_s_rows_with_names_that_no_calendar_has(tmp_path: Path) -> None:
         table.write(paths(1).replace("_07_13_", "_17_13_") + ",0,0,0,1\n")
     done = imported((source, settings))
     assert done.skipped.counts["rows with a time in their pictures' names that no log can hold"] == 1
+
+
+def test_the_docs_say_what_is_tolerated_in_which_format() -> None:
+    page = Path(__file__).parents[2] / "docs" / "importing.md"
+    rows = [
+        f"| {text} | {' | '.join('yes' if name in names else '' for name in ALL)} |"
+        for text, names in TOLERATED.items()
+    ]
+    table = "\n".join([f"| | {' | '.join(ALL)} |", f"|---|{'---|' * len(ALL)}", *rows])
+    assert re.sub(" +", " ", table) in page.read_text("utf-8")
