@@ -21,7 +21,7 @@ from recorder.session_names import check_name, name_of_recording
 from recorder.sources.clean import CleanRecording
 from recorder.sources.find_recording import FORMAT_NAMES
 from recorder.sources.frame_rate import check_rate
-from recorder.sources.imported_rows import Imported
+from recorder.sources.imported_rows import AFTER_QUESTIONS, Imported
 from recorder.sources.recording_kinds import import_recording, refuse_to_watch
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _print_summary(cleaned: CleanRecording) -> None:
     for question in cleaned.questions:
         print_message(question, style="yellow")
     if cleaned.questions:
-        print_message("It is imported as it is. If the answer is yes, import it again with the flag and --force.")
+        print_message(AFTER_QUESTIONS)
 
 
 def _check(config: Import) -> None:

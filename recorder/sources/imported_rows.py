@@ -18,6 +18,9 @@ from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 
+AFTER_QUESTIONS: Final = (
+    "It is imported as it is. If the answer is yes, import it again with the flag and --force."
+)
 VIDEOS_ENCODED_ANEW: Final = "decoded from videos and encoded anew: these are not the camera's original pictures"
 FROM_1970: Final = {"start": "1970, because the recording does not have it"}
 """Metadata of a log whose recording has no date."""

@@ -19,7 +19,9 @@ import pytest
 from driving import Process, command
 from logs import write_log
 from ports import free_ports
+from recorded_formats import as_csv
 from recorder import Log
+from udacity import jpeg
 from waiting import wait_until
 from web.jobs.jobs import Jobs
 from workbench import Served, served, served_by
@@ -79,6 +81,19 @@ def test_an_import_is_the_command_with_its_flags(bench: Served) -> None:
     assert bench.get(f"/jobs.command?{urlencode(asked)}").text == f"bc-import '/my drives' mine {flags}/sessions"
     unknown = bench.get(f"/jobs.command?{urlencode(asked | {'time_unit': 'h'})}").text
     assert unknown == "unit of the times: expected one of s, ms, us, ns"
+
+
+@pytest.mark.parametrize(("middle", "opens"), [(0.0, True), (0.53, False)])
+def test_an_imported_session_opens_by_itself_unless_the_import_asks(
+    bench: Served, middle: float, opens: bool
+) -> None:
+    rows = [(number / 20, middle + (0.0, 0.0, -0.1, 0.1)[number % 4], jpeg(60 + number)) for number in range(12)]
+    source, _ = as_csv(bench.folder / "table", rows)
+    columns = "image=p steering=s time_s=t"
+    job = start(bench, form="import", name="mine", source=str(source), columns=columns)
+    wait_until(lambda: "running" not in text(bench, job))
+    assert ("hx-redirect" in bench.get(f"{job}?opens").headers) is opens
+    assert ("--steering-offset -0.53" in text(bench, job)) is not opens
 
 
 def test_an_import_replaces_no_session(bench: Served) -> None:

@@ -9,6 +9,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
+from recorder.sources.imported_rows import AFTER_QUESTIONS
 from web.errors import WebError
 from web.jobs.job_forms import FORMS, form_of, suggested_sessions
 from web.pages.request_values import Values, on_form
@@ -47,8 +48,9 @@ def job_routes(bench: Workbench) -> list[Route]:
     def whole_job(request: Request) -> Response:
         live, job = bench.jobs.version(), bench.jobs.get(request.path_params["job"])
         answer = page("job.html", live=live, job=job, output=job.output())
-        # "opens": the page was opened while the import ran; then the session opens by itself
-        if "opens" in request.query_params and job.about.form == "import" and job.code == 0:
+        # "opens": the page was opened while the import ran; then the session opens by itself, unless it asks
+        is_import = job.about.form == "import" and job.code == 0
+        if "opens" in request.query_params and is_import and AFTER_QUESTIONS not in job.output():
             answer.headers["HX-Redirect"] = job.about.made
         return answer
 
