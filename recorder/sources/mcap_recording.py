@@ -193,7 +193,7 @@ def _files(source: Path, skipped: Skipped, opened: ExitStack) -> list[_McapFile 
         raise RecordingError(f"{source}: a part of a ROS 2 bag; give the folder that it lies in")
     else:
         paths = [source]
-    return [SqliteFile(path) if path.suffix == SQLITE else _McapFile(path, opened) for path in paths]
+    return [SqliteFile(path, opened) if path.suffix == SQLITE else _McapFile(path, opened) for path in paths]
 
 
 def _split_field(source: Path, text: str, types: Mapping[str, str]) -> tuple[str, str]:

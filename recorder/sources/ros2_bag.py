@@ -10,9 +10,9 @@ import os
 import re
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from functools import partial
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -113,6 +113,8 @@ class SqliteFile:
     """One SQLite database of a bag. All methods raise RecordingError if it cannot be read."""
 
     path: Path
+    opened: ExitStack = field(default_factory=ExitStack)
+    """Closes the database from which single messages are read."""
 
     def types(self, skipped: Skipped) -> dict[str, str]:
         """The type of the messages on each topic."""
@@ -140,8 +142,8 @@ class SqliteFile:
                 yield time_ns, partial(self._message, channels[channel], number, time_ns)
 
     def _message(self, channel: tuple[Schema, Channel], number: int, time_ns: int) -> Stored:
-        with self._open() as database:
-            ((data,),) = database.execute("SELECT data FROM messages WHERE id = ?", (number,))
+        with self._readable():
+            ((data,),) = self._kept_open.execute("SELECT data FROM messages WHERE id = ?", (number,))
         return *channel, Message(channel[1].id, time_ns, data, time_ns, 0)
 
     def _channels(self, database: sqlite3.Connection, topic: str) -> dict[int, tuple[Schema, Channel]]:
@@ -153,9 +155,13 @@ class SqliteFile:
             channels[number] = schema, Channel(number, topic, str(encoding), {}, number)
         return channels
 
+    @cached_property
+    def _kept_open(self) -> sqlite3.Connection:
+        return self.opened.enter_context(self._open())
+
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
-        try:
+        with self._readable():
             address = f"{self.path.absolute().as_uri()}?mode=ro&immutable=1"
             with closing(sqlite3.connect(address, uri=True)) as database:
                 # The file may define views that never end, and triggers: none may run.
@@ -166,6 +172,11 @@ class SqliteFile:
                 database.set_progress_handler(lambda: 0, _STEPS_BETWEEN_SIGNALS)
                 self._refuse_views(database)
                 yield database
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        try:
+            yield
         except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
                 raise KeyboardInterrupt from None  # a signal during the progress handler
