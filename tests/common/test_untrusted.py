@@ -162,7 +162,11 @@ def test_huge_files_of_a_tub(tmp_path: Path) -> None:
     with_hole(first / "2_cam-image_array_.jpg")
     done = import_recording(first, tmp_path / "one.mcap")
     assert done.rows == 2
-    assert [name for _, name in done.skipped] == ["record_1.json", "record_2.json", "1_cam-image_array_.jpg"]
+    assert [name for _, name in done.skipped] == [
+        "record_1.json",
+        "2_cam-image_array_.jpg",
+        "1_cam-image_array_.jpg",
+    ]
     second = write_tub_2(tmp_path / "two", map(record_2, range(4)))
     with_hole(second / "manifest.json")
     with pytest.raises(RecordingError, match=r"manifest\.json: cannot be read \(larger than 17 MB\)"):
@@ -320,7 +324,7 @@ def test_a_log_of_more_messages_than_bytes_is_not_unpacked_into_memory(tmp_path:
         assert done.returncode == 3, done.stderr
         assert "Traceback" not in done.stderr
     with Log(path) as log:
-        assert (log.counts, log.lost) == ({}, [(25, path.stat().st_size)])
+        assert (log.counts, log.lost) == ({}, [(34, path.stat().st_size)])
 
 
 def test_a_log_of_more_messages_than_its_size_explains_is_refused(tmp_path: Path) -> None:
@@ -442,6 +446,6 @@ def test_a_folder_and_pictures_whose_names_are_not_utf_8(tmp_path: Path) -> None
         name = f"a{len(flags)}"
         done = run("bc-import", folder, name, *flags, cwd=tmp_path)
         assert done.returncode == 3, done.stderr
-        assert done.stderr.splitlines()[0] == r"skipped pictures without a row: 1 (\udce9.jpg)"
+        assert r"skipped pictures without a row: 1 (\udce9.jpg)" in done.stderr.splitlines()
         messages = read_messages(tmp_path / "sessions" / f"{name}.mcap")
         assert (len(messages["/vehicle"]), len(messages["/camera/left"]), len(messages["/events"])) == (2, 2, 1)

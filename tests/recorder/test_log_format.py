@@ -243,7 +243,9 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     (folder / "pictures").mkdir()
     (folder / "pictures" / "0.jpg").write_bytes(one_picture(7))
     (folder / "pictures" / "log.csv").write_text("frame,angle\n0.jpg,0.5\n")
-    import_csv(folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate=20.0)
+    import_csv(
+        folder / "pictures", path["csv"], ["image=frame", "steering=angle"], rate=20.0, steering_offset=0.01
+    )
     export_lerobot([path["udacity"]], folder / "dataset")
     import_recording(folder / "dataset", path["lerobot"])
     settings = 'id = "toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'

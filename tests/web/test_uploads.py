@@ -75,7 +75,7 @@ def test_what_the_page_asks_is_answered_in_its_form(bench: Served, tmp_path: Pat
     csv = "".join(f"{paths(number)},{value},0.5,0,9.5\n" for number, value in enumerate(steering))
     make_recording(tmp_path / "servo", csv, numbers=range(len(steering)))
     shown = bench.get(f"/import.at?source={tmp_path / 'servo'}").text
-    assert "if that is straight on: <code>--steering-offset -0.53</code>?" in shown
+    assert "<code>--steering-offset -0.53</code>, if 0.53 is straight on?" in shown
     job = bench.post("/jobs", **(values_of(shown) | {"steering_offset": "-0.53"})).headers["location"]
     wait_until(lambda: "running" not in bench.get(job).text)
     with Log(bench.folder / "sessions" / "servo.mcap") as log:
