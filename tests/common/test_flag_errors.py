@@ -13,6 +13,7 @@ from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
+from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.cli import main as bc_sim
 from udacity import call
@@ -103,8 +104,8 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         ),
         (
             bc_record,
-            ["me", "--driver", "me", "--speed", "500"],
-            "bc-record: --speed: with --driver me, give the one speed that",
+            ["me", "--speed", "500"],
+            "bc-record me: --speed 500: expected mph above 0 and up to 100",
         ),
         (bc_sim, ["--laps", "1000000"], "bc-sim: --laps 1e+06: give a number above 0 and up to 1,000"),
         (
