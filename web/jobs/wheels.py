@@ -112,7 +112,8 @@ def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list
             name = drive.metadata.get("run", "")
         if key_of(Path(name)) not in runs:
             raise WebError(f"the run {printable(name)!r}, which drove, is not in {folders.runs}", 404)
-    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    begin = name if place == "drives" else f"net-{name}"
+    names = itertools.chain([begin], (f"{begin}-{number}" for number in itertools.count(2)))
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
         values = {"run": name, "takeovers": in_one_field([str(log)]), "name": run, "epochs": str(EPOCHS_MORE)}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
 from starlette.requests import Request
-from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -19,7 +18,6 @@ from recorder.log_list_cli import SORTED_BY
 from recorder.rows.odd_stretches import ODD_KINDS
 from web.errors import WebError
 from web.index.index_view import bins_of_index
-from web.jobs.job_forms import form_of
 from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import (
     PLAIN_FLAGS,
@@ -121,7 +119,6 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             query=query,
             listed=list_sessions(bench, query),
             folder=printable(str(bench.folders.sessions)),
-            demo=printable(shlex.join(form_of("demo").words({}, bench.folders))),
             bins=bins_of_index(bench.folders.local_index),
             problem=bench.folders.problem("sessions"),
         )
@@ -159,7 +156,6 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         return {"changed": changed, "commands": commands, "notice": "; ".join(problems)}
 
     return [
-        Route("/", lambda request: RedirectResponse("/sessions")),
         Route("/sessions", whole),
         Route("/sessions.found", stretches),
         Route("/sessions.tags", on_change(BulkChange, change), methods=["POST"]),

@@ -16,11 +16,9 @@ from web.server.static_files import STATIC
 
 PAGES: Final = (
     ("Drive", "/wheel"),
-    ("Sessions", "/sessions"),
-    ("Index", "/index"),
-    ("Runs", "/runs"),
-    ("Drives", "/drives"),
-    ("Jobs", "/jobs"),
+    ("Recordings", "/sessions"),
+    ("Networks", "/runs"),
+    ("Test drives", "/drives"),
 )
 """The menu: names and addresses."""
 
@@ -45,6 +43,14 @@ def _places(number: float | str | None, places: int) -> str:
     return decimal(value, places) if math.isfinite(value) else "-"
 
 
+def _when(utc: str) -> Markup:
+    """A time in ISO 8601, in UTC, to the minute; the page shows it in the browser's time zone (live.js)."""
+    if not utc:
+        return Markup()
+    minute = utc[:16]
+    return Markup('<time datetime="{}Z">{} UTC</time>').format(minute, minute.replace("T", " "))
+
+
 def with_code(text: str) -> Markup:
     """A text, escaped, in which the parts between backticks are code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
@@ -54,7 +60,7 @@ _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _environment.globals.update(menu=PAGES, static=STATIC, version=version_of())
-_environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code)
+_environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code, when=_when)
 
 
 def page(template: str, /, **values: Any) -> HTMLResponse:
