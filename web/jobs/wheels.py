@@ -77,7 +77,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     filled = {name: value.strip() for name, value in values.items() if value.strip()}
     earlier = _settings_of(filled["like"], folders, goes_on="on" in filled) if "like" in filled else {}
     settings = {**DEFAULTS, **earlier, **filled}
-    name = settings["name"] or free_name("drive", folders)
+    name = settings["name"] or free_name(beginning_of(settings["driver"]), folders)
     if not _NAME.fullmatch(name):
         raise WebError("name: expected letters, digits, and . _ -, such as lake-1", 422)
     if not _is_rate(settings["rate"]):
@@ -130,6 +130,11 @@ def is_training_on(job: Job, log: Location) -> bool:
     words = job.about.words
     is_on = words[-2:] == ["--on", session_name(log)]
     return is_on or (words[0] == "bc-train" and str(log) in words)  # of --takeovers
+
+
+def beginning_of(driver: str) -> str:
+    """How the names of drives begin that nobody has named: a person's, or a network's."""
+    return "test-drive" if driver == "run" else "drive"
 
 
 def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:

@@ -33,6 +33,7 @@ from web.jobs.wheels import (
     RATES_HZ,
     TRACKS,
     EndedDrive,
+    beginning_of,
     ended_drive,
     free_name,
     is_training_on,
@@ -58,7 +59,9 @@ _QUEUE: Final = 2  # messages for a slow page; then the process waits
 def wheel_routes(bench: Workbench) -> list[BaseRoute]:
     def whole(request: Request) -> Response:
         """The form, and the running drives."""
-        values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
+        driver = request.query_params.get("driver", DEFAULTS["driver"])
+        name = free_name(beginning_of(driver), bench.folders)
+        values = {**DEFAULTS, "name": name, **request.query_params}
         runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
         wheels = open_wheels(Path.cwd())
         problem = ""
