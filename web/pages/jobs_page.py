@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
-
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
@@ -14,7 +12,7 @@ from web.errors import WebError
 from web.jobs.job_forms import FORMS, form_of, suggested_sessions
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.server.templates import page
+from web.server.templates import command_answer, page, problem_answer
 
 
 def job_routes(bench: Workbench) -> list[Route]:
@@ -39,8 +37,8 @@ def job_routes(bench: Workbench) -> list[Route]:
         try:
             words = form_of(values.get("form", "")).words(values, bench.folders)
         except WebError as error:
-            return PlainTextResponse(printable(str(error)))
-        return PlainTextResponse(printable(shlex.join(words)))
+            return problem_answer(error)
+        return command_answer(words)
 
     def start(request: Request, form_values: Values) -> Response:
         form = form_of(form_values.get("form", ""))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
+from collections.abc import Sequence
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 from starlette.responses import HTMLResponse
 
-from common.errors import counted, decimal
+from common.errors import counted, decimal, printable
 from common.versions import version_of
 from web.server.static_files import STATIC
 
@@ -54,6 +56,16 @@ def _when(utc: str) -> Markup:
 def with_code(text: str) -> Markup:
     """A text, escaped, in which the parts between backticks are code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def command_answer(words: Sequence[str]) -> HTMLResponse:
+    """The answer to a form that asks for its command: the command, for those who want to see it."""
+    return HTMLResponse(Markup('<span class="command">{}</span>').format(printable(shlex.join(words))))
+
+
+def problem_answer(error: Exception) -> HTMLResponse:
+    """The answer to a form that asks for its command, if its values are wrong."""
+    return HTMLResponse(Markup('<span class="problem">{}</span>').format(printable(str(error))))
 
 
 _environment = Environment(
