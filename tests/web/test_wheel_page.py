@@ -12,9 +12,11 @@ import pytest
 
 from driving import untrained_run
 from logs import write_log
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.meant_gaps import MeantGap
 from recorder.log.pose_message import pose_message
+from recorder.log.tags import Tag, tags_by_content
 from recorder.teleop.wheel import Wheel
 from runs import a_run
 from simulator.pose import Pose
@@ -23,7 +25,7 @@ from waiting import wait_until
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, key_of
 from web.jobs.wheels import new_drive, training
-from workbench import Served, served
+from workbench import Served, plain, served
 
 
 @pytest.fixture
@@ -260,3 +262,22 @@ def test_a_log_whose_settings_cannot_be_driven_gives_the_forms_own(
 def test_a_drive_that_recorded_nothing_says_so(bench: Served) -> None:
     assert "Nothing was recorded" in bench.get("/wheel/after/sessions/no-such").text
     assert bench.get("/wheel/after/runs/no-such").status == 404
+
+
+def test_the_seconds_before_the_road_was_left_can_be_left_out(
+    bench: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = bench.folder / "sessions" / "mine.mcap"
+    with LogWriter(log, {"source": "simulator", "driver": "human"}) as writer:
+        for row in range(100):
+            left = MeantGap(2.0, "the car left the road and was put back on its line") if row in (2, 60) else None
+            writer.vehicle(10**18 + row * 10**8, row, VehicleState(steering=0.1), left)
+    assert "You left the road 2 times" in plain(bench.get("/wheel/after/sessions/mine").text)
+    monkeypatch.chdir(bench.folder)
+    answer = bench.post("/wheel/after/sessions/mine/train", leave_out="1")
+    assert answer.status == 303
+    with Log(log) as written:
+        tagged = tags_by_content(log)[written.fingerprint]
+    assert sorted(tagged) == [Tag(0, 1, "exclude"), Tag(29, 59, "exclude")]
+    assert "You left the road" not in bench.get("/wheel/after/sessions/mine").text
+    wait_until(lambda: "running" not in bench.get("/jobs.running").text)  # it has no pictures to learn from
