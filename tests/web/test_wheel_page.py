@@ -46,11 +46,11 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
         ({"simulator": "any"}, "bc-record listen drive-1 --me --speed=10 --no-page"),
         (
             {"driver": "run", "run": "r", "track": "hairpins:3"},
-            "bc-drive r --takeover=me --speed=10 --simulator=hairpins:3 --log=drives/drive-1.mcap --no-page",
+            "bc-drive r --takeover=me --speed=10 --simulator=hairpins:3 --log=drives/test-drive-1.mcap --no-page",
         ),
         (
             {"driver": "run", "run": "r", "simulator": "any"},
-            "bc-drive r --takeover=me --speed=10 --log=drives/drive-1.mcap --no-page",
+            "bc-drive r --takeover=me --speed=10 --log=drives/test-drive-1.mcap --no-page",
         ),
     ],
 )
@@ -240,7 +240,7 @@ def test_a_supervised_drive_resumes_at_its_speed_another_at_the_start(
     again = new_drive(values, ProjectFolders())
     line = "bc-drive r --takeover=me --speed=12 --simulator=lake"
     assert shlex.join(on.words) == f"{line} --start=51.3 --log=drives/d-2.mcap --no-page"
-    assert shlex.join(again.words) == f"{line} --log=drives/drive-1.mcap --no-page"
+    assert shlex.join(again.words) == f"{line} --log=drives/test-drive-1.mcap --no-page"
 
 
 @pytest.mark.parametrize("like", ["drives/none", "runs/r", "/etc/passwd", "sessions/../a", "sessions"])
