@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
-from common.allowed_places import allow_places
 from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, first_of, printable
 from common.files import short_path
@@ -57,7 +56,6 @@ def train(config: Train) -> int:
     like = run if is_resumed else None
     if config.like is not None:
         like = find_any_run(config.like, config.runs)
-    allow_places(config.sessions, config.drives)
     summary = _try_network(config, run, init, like)
     listeners = _listeners(config, run)
     copy = RunCopy(run, copied_to) if copied_to is not None else None

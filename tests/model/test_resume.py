@@ -421,7 +421,7 @@ def test_a_run_goes_on_when_its_index_is_gone_or_elsewhere(
     shutil.rmtree("data/index")
     assert call(main, "--resume", "first", "--epochs", 3) == 0
     assert [line["epoch"] for line in metrics(Path("runs/first"))] == [1, 2, 3]
-    assert json.loads(Path("runs/first/config.json").read_text())["index"] == "../../data/index-first"
+    assert json.loads(Path("runs/first/config.json").read_text())["index"] == "../../index-first"
     assert call(main, "--name", "again", "--like", "first", "--epochs", 1) == 0
     assert not Path("index").exists()
     assert all("no pictures of how it went" in line for line in capsys.readouterr().err.splitlines())
