@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import inspect
 import logging
+import os
 import re
 import signal
 import sys
@@ -101,6 +102,7 @@ def run_command(
     If the reader of the output has gone, the output is dropped and the action continues. Ctrl-C ends the action; a
     second Ctrl-C ends the process, as `kill -9` does: files have a temporary name until they are complete.
     """
+    _hold_standard_streams()
     announce = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
     with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
         # one handler for all signals: `kill` cleans up as Ctrl-C does
@@ -115,6 +117,16 @@ def run_command(
             code = print_error(prog, UserError(f"standard output: {why}"))
             drain(is_patient=False)
     sys.exit(code)
+
+
+def _hold_standard_streams() -> None:
+    """A file that is opened must not get the number of a standard stream that is closed (`2>&-`): libraries print
+    there, and would print into it."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free: this one
 
 
 def _paragraphs(docstring: str) -> str:

@@ -1,10 +1,8 @@
-"""How a command begins: Ctrl-C is heard from the first moment, and what is in the way of the rooms is named."""
+"""How a command begins: what it loads, Ctrl-C, errors and exit codes."""
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,12 +14,10 @@ import pytest
 from test_rooms import MAY_IMPORT
 
 import behavioural_cloning_toolkit
-from driving import COMMANDS, PATIENCE_S, command, environment, run_code
+from driving import COMMANDS, PATIENCE_S, environment, run_code
 from logs import write_log
 from repository import ROOT
 from udacity import call
-
-HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
 
 # Each import of a command's is followed by a signal, at the point that is counted up to on the command line.
 INTERRUPTED_IMPORT = """
@@ -91,86 +87,6 @@ def test_a_command_under_nohup_does_not_hear_a_terminal_that_is_closed() -> None
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("kind", HIDING)
-def test_what_is_in_the_way_of_a_rooms_name_is_named(kind: str, tmp_path: Path) -> None:
-    """A script of a student's, and beside it something that is called as a room is."""
-    hiding = tmp_path / HIDING[kind].format(room="common")
-    hiding.parent.mkdir(exist_ok=True)
-    hiding.touch()
-    script = tmp_path / "mine.py"
-    script.write_text("from recorder import Log\n")
-    variables = environment()
-    if kind == "a folder":  # without an __init__.py it only hides what comes after all folders of the path
-        variables.pop("PYTHONPATH")
-        if subprocess.run([sys.executable, "-c", "import common"], cwd="/", env=variables, check=False).returncode:
-            pytest.skip("the toolkit is not installed")
-    done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
-    )
-    if done.returncode == 0:
-        assert kind == "a folder"  # of an installation that is no link to the sources
-        return
-    last = done.stderr.splitlines()[-1]
-    assert last.startswith("ImportError: ")
-    assert str(hiding if kind != "a folder" else hiding.parent) in last
-    assert "is in the way: Python takes it for this toolkit's `common`; rename it" in last
-
-
-def test_a_module_that_a_room_does_not_need_is_in_nobodys_way(tmp_path: Path) -> None:
-    (tmp_path / "model.py").write_text("mine = True\n")
-    (tmp_path / "mine.py").write_text("from recorder import Log\nfrom model import mine\n")
-    done = subprocess.run([sys.executable, str(tmp_path / "mine.py")], env=environment(), check=False)
-    assert done.returncode == 0
-
-
-def record_installed(folder: Path, package: str, file: str) -> None:
-    """Write down, as pip does, that a package has installed this file into the folder."""
-    record = folder / f"{package}-1.0.dist-info"
-    record.mkdir()
-    (record / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (record / "RECORD").write_text(f"{file},,\n{record.name}/METADATA,,\n")
-
-
-def test_a_package_that_owns_a_rooms_name_is_named(tmp_path: Path) -> None:
-    (tmp_path / "common").mkdir()
-    (tmp_path / "common" / "__init__.py").touch()
-    record_installed(tmp_path, "othertool", "common/__init__.py")
-    variables = environment()
-    variables["PYTHONPATH"] = os.pathsep.join([str(tmp_path), variables["PYTHONPATH"]])
-    done = subprocess.run(
-        command("bc-log", "--help"), cwd="/", env=variables, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert done.stderr == (
-        "bc-log: `common` is also a name of another installed package (othertool), which hides this toolkit's:"
-        " `pip uninstall othertool`, or install the toolkit into an environment of its own\n"
-    )
-
-
-@pytest.mark.parametrize("is_uninstalled", [False, True])
-def test_a_package_that_has_written_over_a_room_is_named(is_uninstalled: bool, tmp_path: Path) -> None:
-    """As `dataset` of the package index does, where both are installed."""
-    shutil.copy(ROOT / "behavioural_cloning_toolkit.py", tmp_path)
-    (tmp_path / "dataset").mkdir()
-    (tmp_path / "dataset" / "config.py").touch()
-    if not is_uninstalled:
-        (tmp_path / "dataset" / "__init__.py").write_text("from dataset.database import Database\n")
-        record_installed(tmp_path, "dataset", "dataset/__init__.py")
-    variables = {**environment(), "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        command("bc-index", "--help"), cwd="/", env=variables, capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    if is_uninstalled:
-        why = "this toolkit's `dataset` was overwritten by another package of that name: install the toolkit again"
-    else:
-        why = (
-            "another installed package (dataset) has written its `dataset` over this toolkit's: `pip uninstall"
-            " dataset` and install the toolkit again, or install it into an environment of its own"
-        )
-    assert done.stderr == f"bc-index: {why}\n"
 
 
 HEAVY = [
@@ -248,12 +164,6 @@ def test_commands_do_not_mind_what_lies_in_the_working_folder(tmp_path: Path) ->
         [sys.executable, str(script), "--help"], cwd=tmp_path, env=environment(), capture_output=True, check=False
     )
     assert done.returncode == 0
-
-
-def test_every_room_looks_whether_those_under_it_are_ours() -> None:
-    for room, under in MAY_IMPORT.items():
-        if under:
-            assert "refuse_hidden(__name__)" in (ROOT / room / "__init__.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
