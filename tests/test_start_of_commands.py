@@ -14,6 +14,7 @@ import pytest
 from test_rooms import MAY_IMPORT
 
 import behavioural_cloning_toolkit
+from common.interrupts import STOP_SIGNALS
 from driving import COMMANDS, PATIENCE_S, environment, run_code
 from logs import write_log
 from repository import ROOT
@@ -23,6 +24,7 @@ from udacity import call
 INTERRUPTED_IMPORT = """
 import builtins, os, signal, sys
 import behavioural_cloning_toolkit
+from common.interrupts import STOP_SIGNALS
 name, at = sys.argv.pop(1), int(sys.argv.pop(1))
 wanted, begun = [at], builtins.__import__
 def importing(*given, **named):
@@ -46,6 +48,7 @@ def test_ctrl_c_while_a_command_is_loaded_is_one_line(name: str, at: int) -> Non
 INTERRUPTED_NUMPY = """
 import os, signal, sys
 import behavioural_cloning_toolkit
+from common.interrupts import STOP_SIGNALS
 
 class Interrupting:
     def find_spec(self, name, *_):
@@ -203,40 +206,13 @@ def run_action(body: str) -> subprocess.CompletedProcess[str]:
 
 
 ACTION = """
-import os, signal, sys, time, weakref
+import os, signal, sys, time
 from dataclasses import dataclass
-from pathlib import Path
 from common.command import run_command
-from common.files import atomic_file
-from common.interrupts import stop_signals, uninterrupted
 
 @dataclass
 class Nothing:
     pass
-
-def sleep():
-    while True:  # a signal that comes just before a long sleep would be heard after it
-        time.sleep(0.01)
-
-def noted(stopped):
-    while not stopped.wait(0.01):
-        pass
-
-def begun():
-    print("begun", file=sys.stderr)
-
-def interrupted_in_a_callback():
-    thing = Nothing()
-    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT) or sleep())
-    del thing
-
-def slow(work):
-    try:
-        begun()
-        sleep()
-    finally:
-        begun()
-        work()
 
 def act(config):
     {body}
@@ -244,37 +220,21 @@ def act(config):
 
 run_command("bc-test", Nothing, act)
 """
-WAYS = {
-    "tidying up": "slow(lambda: sleep())",
-    "uninterrupted": "slow(lambda: uninterrupted().__enter__() or sleep())",
-    "a stop that is noted": ("with stop_signals() as stopped:\n        begun(); noted(stopped); begun(); sleep()"),
-    "a file half written": (
-        "with atomic_file(Path('whole'), overwrite=False) as part:\n"
-        "        part.write_bytes(b'half'); slow(lambda: sleep())"
-    ),
-}
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_second_ctrl_c_ends_at_once_and_says_so(way: str, tmp_path: Path) -> None:
-    line = [sys.executable, "-c", ACTION.format(body=WAYS[way])]
-    with subprocess.Popen(line, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            assert process.stderr.readline() == "begun\n"
-            process.send_signal(signal.SIGINT)
-            assert process.stderr.readline() == "begun\n"
-            process.send_signal(signal.SIGTERM)  # which comes twice by itself, and does not count
-            assert process.stderr.readline() == "bc-test: stopping; Ctrl-C again ends at once\n"
-            process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE_S) == 130
-        finally:
-            process.kill()
-        assert process.stderr.read() == "bc-test: ended at once; unfinished files have names that end in .part\n"
-    assert all(path.suffix == ".part" for path in tmp_path.iterdir())
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_a_signal_ends_a_command_with_one_line(number: signal.Signals) -> None:
+    done = run_action(f"os.kill(os.getpid(), {number:d}); time.sleep({PATIENCE_S})")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "bc-test: stopped\n")
 
 
-def test_a_ctrl_c_that_comes_while_python_tidies_up_is_not_lost() -> None:
-    """What is raised in a callback of a weak reference goes no further, and the command would wait for ever."""
-    done = run_action("interrupted_in_a_callback(); sleep()")
+def test_a_second_ctrl_c_ends_what_tidies_up() -> None:
+    stop = "os.kill(os.getpid(), signal.SIGINT)"
+    done = run_action(f"""
+    try:
+        {stop}
+        time.sleep({PATIENCE_S})
+    finally:
+        {stop}
+        time.sleep({PATIENCE_S})""")
     assert (done.returncode, done.stderr) == (130, "bc-test: stopped\n")

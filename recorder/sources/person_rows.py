@@ -9,7 +9,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final, Self
 
-from common.interrupts import leave_signals_to_main_thread
 from recorder.bc_pb2 import VehicleState
 from recorder.log.meant_gaps import MeantGap
 from recorder.log.pose_message import pose_message
@@ -86,7 +85,6 @@ class PersonRows:
         self.written = number + 1
 
     def _run(self) -> None:
-        leave_signals_to_main_thread()
         try:
             while True:
                 try:

@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -59,7 +58,6 @@ def counter(step: int = 1, **more: object) -> Callable[[], None]:
 def run_in_process(work: Callable[..., object], niceness: int = 0) -> None:
     """Call `work` with this process's arguments, and report its errors."""
     if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
         os.nice(niceness)
     end_with_parent()
     try:
