@@ -65,4 +65,4 @@ def test_help_of_a_subcommand_is_its_own(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_a_rare_flag_is_parsed(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_train, "--micro-batch", "few") == 2
-    assert one_line_in(capsys).startswith("bc-train: --micro-batch few: expected a whole number")
+    assert one_line_in(capsys).startswith("bc-train: --micro-batch: expected a whole number")
