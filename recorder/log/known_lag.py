@@ -17,7 +17,7 @@ from common.closeable import Closeable
 from common.errors import UserError
 from common.location import Location, Url
 from common.random_access import LocalFile, read_bytes
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from recorder import topics
 from recorder.log.reader import Log
 from recorder.mcap.message_index import UNCOMPRESSED

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from recorder.log.reader import Log
 from recorder.rows.row_quality import GAP_S, States, row_flags
 from recorder.topics import EVENTS, VEHICLE

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from common.errors import counted, printable
 from common.location import Location
 from common.stretches import stretches_within
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from recorder.rows.crashes import impact_rows
 from recorder.rows.driving_backwards import PEDAL, SURELY_MPH, driven_backwards
 from recorder.rows.road_edge import off_road_rows

@@ -11,8 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from common.location import Location
-from common.untrusted import whole_number
-from common.untrusted_json import json_as
+from common.untrusted import json_as, whole_number
 from recorder import topics
 from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
 from recorder.log.meant_gaps import NotRecorded, meant_rows

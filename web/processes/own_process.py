@@ -16,7 +16,7 @@ import behavioural_cloning_toolkit
 from common import UserError
 from common.errors import printable
 from common.output import print_result
-from common.parent_process import end_with_parent
+from common.process_settings import end_with_parent
 
 _ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
 
