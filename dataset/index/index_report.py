@@ -15,7 +15,7 @@ from dataset.index.build import Indexed
 from dataset.index.not_learnt import not_learnt_line
 from dataset.index.sessions import unfinished_recordings
 from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels
-from recorder.rows.steering_report import STEERING_HEADINGS, steering_cells
+from recorder.rows.steering_habits import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # a line of the table then fits 80 columns
 MAX_BINS = 101  # with more bins, no line for each bin is printed

@@ -22,7 +22,7 @@ from dataset.parquet_file import read_metadata, write_table
 from recorder import Log, LogError
 from recorder.log.known_lag import kept_lag, lag_path, noted_lag
 from recorder.log.session_car import CAR_KEY, foreign_source, known_max_steering_deg, metadata_of, stored_car
-from recorder.log.tagged_rows import tags_of
+from recorder.log.tags import tags_of
 from recorder.pictures.picture_size import width_and_height
 from recorder.rows.steering_habits import LagFinding
 from recorder.topics import QUALITY_METADATA, camera_topic

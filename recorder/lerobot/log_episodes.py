@@ -15,8 +15,7 @@ from common.car import Camera
 from common.stretches import within
 from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
-from recorder.log.tagged_rows import tags_of
-from recorder.log.tags import EXCLUDE
+from recorder.log.tags import EXCLUDE, tags_of
 from recorder.mcap.picture_places import Pictures
 from recorder.pictures.decoding import decode_picture, is_whole_picture
 from recorder.pictures.picture_size import SizeReader

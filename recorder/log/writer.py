@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Container
@@ -42,6 +43,7 @@ from recorder.rows.label_plan import goes_by_lag, machine_of
 from recorder.rows.odd_stretches import odd_summary
 from recorder.rows.row_quality import States, StatesWritten, summary
 from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
+from simulator.pose import Pose
 
 _CENTER: Final = topics.camera_topic("center")
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush may be late, and the disk takes time
@@ -59,6 +61,22 @@ def log_beside(log: Path, taken: Container[Path]) -> Path:
 
 def timestamp(time_ns: int) -> Timestamp:
     return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
+
+
+def pose_message(pose: Pose, time_ns: int) -> PoseInFrame:
+    """A car's pose as a Foxglove message: metres, x east, y north, z up; attitude a quaternion."""
+    message = PoseInFrame(timestamp=timestamp(time_ns), frame_id="world")
+    message.pose.position.x, message.pose.position.y, message.pose.position.z = pose.x_m, pose.y_m, pose.z_m
+    # nose up is a negative rotation around the y axis, which points to the left
+    (cy, sy), (cp, sp), (cr, sr) = (
+        (math.cos(angle / 2), math.sin(angle / 2)) for angle in (pose.heading_rad, -pose.pitch_rad, pose.roll_rad)
+    )
+    q = message.pose.orientation
+    q.w = cr * cp * cy + sr * sp * sy
+    q.x = sr * cp * cy - cr * sp * sy
+    q.y = cr * sp * cy + sr * cp * sy
+    q.z = cr * cp * sy - sr * sp * cy
+    return message
 
 
 class LogWriter:

@@ -18,15 +18,17 @@ from common.errors import counted, printable
 from common.location import Location
 from common.stretches import stretches_within
 from common.untrusted_json import json_as
-from recorder.rows.crashes import impact_rows
-from recorder.rows.driving_backwards import PEDAL, SURELY_MPH, driven_backwards
-from recorder.rows.road_edge import off_road_rows
 from recorder.rows.row_quality import (
     NOT_LEARNT,
+    PEDAL,
+    SURELY_MPH,
     Motion,
     States,
+    Values,
     drive_numbers,
+    driven_backwards,
     elapsed_s,
+    impact_rows,
     row_flags,
     usual_speed_mph,
 )
@@ -57,6 +59,8 @@ CREEP_S: Final = 2.0  # of moving; a start takes less than one
 COAST_S: Final = 1.5
 COAST_SPEED_SHARE: Final = 1 / 3
 _ROUNDING_MPH: Final = 0.2
+OFF_S: Final = 0.5  # the shortest stretch off the road: drives put a car back at once
+JOIN_S: Final = 2.0  # a shorter time between two of these stretches is not driving
 _MIN_ROWS: Final = 100  # to judge the scale of the steering
 
 Mask = NDArray[np.bool_]
@@ -208,6 +212,20 @@ def coasting_rows(motion: Motion, states: States) -> Mask:
         stop = first + int(halt[0])
         coasting[first : stop + 1] = time_s[stop] - time_s[first] >= COAST_S
     return coasting
+
+
+def off_road_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) -> Mask:
+    """The rows (N,) off the road, including short returns. `time_s`: from `elapsed_s`; `drive`: the number of each
+    row's drive."""
+    off = np.zeros(len(drive), np.bool_)
+    last_before = -1
+    for first, last in stretches_within(beyond_m > 0, drive):
+        if time_s[last] - time_s[first] < OFF_S:
+            continue
+        joins = last_before >= 0 and time_s[first] - time_s[last_before] <= JOIN_S
+        off[last_before + 1 if joins else first : last + 1] = True
+        last_before = last
+    return off
 
 
 def odd_summary(states: States) -> dict[str, str]:

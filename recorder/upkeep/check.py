@@ -13,8 +13,7 @@ from common.progress import track
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import TaggedRows, fine_rows
-from recorder.log.tags import EXCLUDE, read_tags
+from recorder.log.tags import EXCLUDE, TaggedRows, fine_rows, read_tags
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.label_plan import wrong_timing

@@ -17,7 +17,7 @@ from recorder import topics
 from recorder.bc_pb2 import VehicleState
 from recorder.log.bad_telemetry import read_event
 from recorder.log.meant_gaps import NotRecorded
-from recorder.log.tagged_rows import TaggedRows
+from recorder.log.tags import TaggedRows
 from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import StoredMessage
 from recorder.mcap.message_index import LAST_TIME_NS

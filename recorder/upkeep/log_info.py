@@ -19,8 +19,7 @@ from recorder.log.meant_gaps import NotRecorded, meant_rows
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
 from recorder.log.session_car import max_steering_deg_of
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag, tags_by_content
+from recorder.log.tags import Tag, TaggedRows, tags_by_content
 from recorder.rows.devices import most_used_of
 from recorder.rows.label_plan import goes_by_lag, machine_of, plan_labels
 from recorder.rows.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary

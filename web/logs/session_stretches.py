@@ -15,8 +15,7 @@ from dataset.frames.frame_flags import ImageFindings, Paired, PictureFlag, frame
 from dataset.frames.pairing import paired_rows
 from recorder import Log
 from recorder.log.meant_gaps import meant_rows
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import EXCLUDE, FINE, Tag
+from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows
 from recorder.rows.condition import lists_with
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
