@@ -69,15 +69,15 @@ def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
 
 def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     from recorder.log.known_lag import lag_path
+    from recorder.rows.causes import CAUSES
     from recorder.rows.steering_habits import lag_in_words
-    from recorder.upkeep.check_contents import ODD_FINDINGS
 
     decoded = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
-    places = Skipped()
+    places, odd_kinds = Skipped(), {cause.several for cause in CAUSES.values()}
     for finding in checked.findings:
-        if finding.kind not in ODD_FINDINGS.values():  # odd stretches are named below, with their causes
+        if finding.kind not in odd_kinds:  # odd stretches are named below, with their causes
             places.add(finding.kind, finding.where)
     for line in places.lines(MAX_PLACES):
         print_result(f"  {line}")

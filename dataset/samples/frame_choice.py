@@ -15,8 +15,8 @@ from dataset.frames.frame_flags import is_excluded, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
 from dataset.samples.labels import planned_labels
 from dataset.samples.samples_format import SessionCounts, SessionLabels
+from recorder.rows.causes import NOT_LEARNT
 from recorder.rows.condition import lists_with, rows_where
-from recorder.rows.row_quality import NOT_LEARNT
 
 
 @dataclass(frozen=True)

@@ -6,25 +6,20 @@ other exact value for at most 2 s. The simulator writes at least five rows a sec
 
 from __future__ import annotations
 
-import json
 import math
-from array import array
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.car import SPEED_RANGE_MPH
-from common.stretches import runs, stretches, stretches_within
-from recorder.rows.devices import RowDevice, most_used
+from common.stretches import runs, stretches_within
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-    from recorder.bc_pb2 import VehicleState
 
 
 GAP_S: Final = 1.0
@@ -32,16 +27,8 @@ APART_S: Final = 1000.0  # more than any time over which rows are compared
 STANDING_MPH: Final = 0.5
 STUCK_S: Final = 3.0
 STUCK_AT_ZERO_S: Final = 30.0
-MAX_STRETCHES: Final = 100  # listed in a log's summary of its rows; counts include all
 
 PARKED_S: Final = 5.0  # in recordings of people, an ordinary start waits for 1.6 to 3.2 s
-
-RowFlag = Literal[
-    "gap", "out_of_range", "standing_still", "stuck_steering", "crash", "backwards", "manoeuvring", "parked"
-]
-ROW_FLAGS: Final[tuple[RowFlag, ...]] = get_args(RowFlag)
-NOT_LEARNT: Final[tuple[RowFlag, ...]] = ("crash", "backwards", "manoeuvring", "parked")
-"""Rows with one of these are left out of training by default. For rows with several, the first counts."""
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -69,8 +56,25 @@ class States:
 
     def part(self, chosen: NDArray[Any] | Sequence[int]) -> States:
         """Some of the rows, by a mask or by their positions."""
-        columns: Any = [None if column is None else column[chosen] for column in vars(self).values()]
-        return States(*columns)
+        columns: Any = [getattr(self, field.name) for field in fields(self)]
+        parts: Any = [None if column is None else column[chosen] for column in columns]
+        return States(*parts)
+
+    @cached_property
+    def flags(self) -> dict[str, Mask]:
+        """The rows (N,) of each flag.
+
+        - `gap`: the first row after a gap in time
+        - `out_of_range`: steering outside -1..1, pedals outside 0..1, either NaN, or speed outside
+          `SPEED_RANGE_MPH`
+        - `standing_still`
+        - `stuck_steering`: exactly the same steering for long while the car moves
+        - `crash`: the car stands at an obstacle, or manoeuvres to get away from it
+        - `backwards`
+        - `manoeuvring`: the second before an impact, and the way out of a crash or of driving backwards
+        - `parked`: the car stands for long, in a session in which it drives
+        """
+        return _flags(self)
 
 
 @dataclass(frozen=True)
@@ -82,55 +86,6 @@ class Motion:
     usual_mph: float  # from `usual_speed_mph`
     time_s: Values  # from `elapsed_s`
     drive: NDArray[np.int64]  # from `drive_numbers`
-
-
-class StatesWritten:
-    """The states of a log while it is written: 48 bytes a row."""
-
-    def __init__(self) -> None:
-        self._devices = Counter[int]()
-        self._numbers = array("q")
-        self._values = array("d")
-
-    def add(self, row: int, time_ns: int, state: VehicleState) -> None:
-        self._numbers.extend((row, time_ns))
-        self._values.extend((state.steering, state.throttle, state.brake, state.speed_mph))
-        self._devices[state.device] += 1
-
-    @property
-    def device(self) -> RowDevice:
-        """The device of most rows."""
-        return most_used(self._devices)
-
-    def __len__(self) -> int:
-        return len(self._numbers) // 2
-
-    def states(self) -> States:
-        numbers = np.array(self._numbers, np.int64).reshape(-1, 2)
-        values = np.array(self._values, np.float64).reshape(-1, 4)
-        return States(numbers[:, 0], numbers[:, 1], *values.T)
-
-
-def summary(states: States) -> dict[str, str]:
-    """The summary of its rows that a log keeps at its end: drives, rows by flag, and the first flagged stretches.
-
-    Stretches are JSON: [flag, first row, last row, begin and end in seconds from the log's first row]. A gap
-    begins at the row before it.
-    """
-    flags = row_flags(states)
-    flagged = sorted((first, last, flag) for flag, mask in flags.items() for first, last in stretches(mask))
-    since_s = (states.time_ns - states.time_ns[:1]) / 1e9
-    listed = [
-        [flag, *states.row[[first, last]].tolist(), *since_s[[first - (flag == "gap"), last]].tolist()]
-        for first, last, flag in flagged[:MAX_STRETCHES]
-    ]
-    return {
-        "rows": str(len(states.row)),
-        "drives": str(int(drive_numbers(states.time_ns)[-1]) + 1 if len(states.row) else 0),
-        "driven_s": f"{driven_s(states.time_ns):.3f}",
-        **{flag: str(int(mask.sum())) for flag, mask in flags.items()},
-        "stretches": json.dumps(listed),
-    }
 
 
 def drive_numbers(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -152,18 +107,7 @@ def driven_s(time_ns: NDArray[np.int64]) -> float:
     return float(np.diff(time_ns)[np.diff(drive_numbers(time_ns)) == 0].sum()) / 1e9
 
 
-def row_flags(states: States) -> dict[RowFlag, NDArray[np.bool_]]:
-    """The rows (N,) of each flag.
-
-    - `gap`: the first row after a gap in time
-    - `out_of_range`: steering outside -1..1, pedals outside 0..1, either NaN, or speed outside `SPEED_RANGE_MPH`
-    - `standing_still`
-    - `stuck_steering`: exactly the same steering for long while the car moves
-    - `crash`: the car stands at an obstacle, or manoeuvres to get away from it
-    - `backwards`
-    - `manoeuvring`: the second before an impact, and the way out of a crash or of driving backwards
-    - `parked`: the car stands for long, in a session in which it drives
-    """
+def _flags(states: States) -> dict[str, Mask]:
     drive, time_s = drive_numbers(states.time_ns), elapsed_s(states.time_ns)
     standing = np.abs(states.speed_mph) < STANDING_MPH  # False for an unknown speed
     speed_mph = np.where(np.isfinite(states.speed_mph), np.clip(states.speed_mph, *SPEED_RANGE_MPH), np.nan)

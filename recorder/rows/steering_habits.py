@@ -18,7 +18,7 @@ from common.errors import counted
 from common.steering_unit import DEGREES, SteeringUnit
 from common.stretches import runs
 from recorder.rows.devices import RowDevice
-from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, row_flags, usual_step
+from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, usual_step
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """The times around a row, half before and half after, in which the other rows are its neighbours."""
@@ -95,7 +95,6 @@ def steering_habits(
     """Measure the habits in the rows of a log. `max_steering_deg`: the wheels' angle at steering 1. `device`: that
     of most rows. Takes any numbers."""
     in_range = np.abs(states.steering) <= 1  # False for NaN too
-    flags = row_flags(states)
     steering, time_ns = states.steering[in_range], states.time_ns[in_range]
     rows = len(steering)
     drive = drive_numbers(time_ns)
@@ -123,7 +122,7 @@ def steering_habits(
         spread_deg=float(steering.std()) * max_steering_deg if rows else None,
         largest_deg=float(np.abs(steering).max()) * max_steering_deg if rows else None,
         ceiling=ceiling,
-        crashes=_share(flags["crash"]),
+        crashes=_share(states.flags["crash"]),
         device=device,
     )
 
