@@ -250,9 +250,8 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
     """The index to train on, built if missing, and the exit code of its notices. `like` is the run to resume or
     repeat."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
-    from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
-    from dataset.samples.samples_format import SAMPLES_NAME
+    from dataset.samples.samples_format import SAMPLES_NAME, not_learnt_in
 
     is_built = file_exists(config.index / SAMPLES_NAME)
     if like is not None and (config.resume is None or not is_built):
