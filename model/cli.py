@@ -123,7 +123,7 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     from model.runs.run_folder import WEIGHTS, load_config
     from model.runs.run_numbers import run_numbers
     from model.runs.run_summary import judge
-    from model.runs.training_outcome import outcome_lines
+    from model.runs.training_progress import outcome_lines
 
     run, code = trained.run, max([DONE, *map(warn, trained.notices)])
     for remark in trained.remarks:

@@ -25,9 +25,8 @@ from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import codes, read_frames
 from dataset.parquet_file import METADATA_KEY
-from dataset.samples.frame_choice import choose_frames
 from dataset.samples.labels import planned_speed_mph, recorded_throttle
-from dataset.samples.sample_choice import ChosenSamples, choose_samples
+from dataset.samples.sample_choice import ChosenSamples, choose_frames, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.steering_bins import bin_of
 from recorder.log.tags import EXCLUDE
