@@ -10,7 +10,7 @@ import pytest
 from common.car import CAMERAS
 from dataset import IndexConfig, Samples, build_index
 from dataset.cli import main as bc_index
-from dataset.index.not_learnt import not_learnt_in
+from dataset.samples.samples_format import not_learnt_in
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.driving.expert import Expert

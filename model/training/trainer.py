@@ -48,8 +48,7 @@ from model.training.earlier_run import (
     resumed_config,
     resumed_settings,
 )
-from model.training.listeners import Listeners
-from model.training.loop import TrainingLoop
+from model.training.loop import Listeners, TrainingLoop
 from model.training.run_writer import RunWriter
 from model.training.validation import validation_notices
 

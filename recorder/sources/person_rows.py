@@ -11,8 +11,7 @@ from typing import Final, Self
 
 from recorder.bc_pb2 import VehicleState
 from recorder.log.meant_gaps import MeantGap
-from recorder.log.pose_message import pose_message
-from recorder.log.writer import EventLevel, LogWriter
+from recorder.log.writer import EventLevel, LogWriter, pose_message
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
 from simulator.rendering.camera import MOUNT_LEFT_M

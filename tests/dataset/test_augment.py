@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dataset import DatasetError
-from dataset.augment import ALTERATIONS, alter, blur, brightness, shadow
+from dataset.alterations import ALTERATIONS, alter, blur, brightness, shadow
 from dataset.preprocessing import Image
 
 Change = Callable[[Image, np.random.Generator], Image]

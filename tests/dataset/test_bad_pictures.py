@@ -17,7 +17,7 @@ from layouts import write_as_before
 from logs import write_log
 from model.evaluation.predict import predict
 from model.network.original import SteeringNetwork
-from model.training.batches import DeviceBatches
+from model.training.batches import KeptBatches
 from plain_mcap import contents
 from udacity import encode
 
@@ -108,7 +108,7 @@ def test_where_nothing_decodes_batches_are_empty(tmp_path: Path) -> None:
 
 def test_crops_on_the_device_are_without_them_too(index: Path) -> None:
     with load(index, batch=16) as host, load(index, batch=16) as other:
-        device = DeviceBatches(other, torch.device("cpu"))
+        device = KeptBatches(other, torch.device("cpu"))
         assert {name for _, name in other.skipped} == NAMES  # all are read before the first epoch
         for epoch in (1, 2):
             for batch, (pictures, steering) in zip(host.epoch(epoch), device.epoch(epoch), strict=True):

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from dataset import IndexConfig, Loader, build_index, load
+from dataset.alterations import EpochAlterations
 from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
-from dataset.epoch_alterations import EpochAlterations
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, in_channels
 from logs import write_log

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from dataset import DatasetError, IndexConfig, Indexed, build_index, find_logs
 from dataset.cli import main
 from dataset.frames.split import block_numbers, validation_blocks
-from dataset.samples.balance import balance
+from dataset.samples.sample_choice import balance
 from dataset.steering_bins import bin_of
 from logs import START_NS, STEP_NS, plain_read, write_log, write_session
 from recorder import LogWriter

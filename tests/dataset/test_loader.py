@@ -35,7 +35,7 @@ from dataset import (
     load,
     preprocess,
 )
-from dataset.augment import alter
+from dataset.alterations import alter
 from dataset.preprocessing import Image
 from driving import environment, run_code
 from logs import plain_read, write_log

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from simulator.pose import Pose
 
 RATE_HZ = 10.0

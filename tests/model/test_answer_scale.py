@@ -20,10 +20,10 @@ from model import RunError, evaluate, load_pilot, train
 from model.network.small import SmallNetwork
 from model.onnx_export import export_onnx
 from model.runs.answer_scale import MAX_CURVE, MAX_SCALE, MIN_SCALE, AnswerScale
-from model.runs.checksums import save_checksummed
+from model.runs.checkpoint import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
-from model.training.natural_frequency import NaturalFrames
+from model.training.validation import NaturalFrames
 from toy import SMALL, STEERING, road
 
 NEARLY_A_QUARTER = 1 / (1 + 3**0.75)  # of two kinds of frames, one thrice as many: three quarters of the way

@@ -11,7 +11,7 @@ from safetensors.numpy import load_file
 
 from model import train
 from model.network.original import SteeringNetwork
-from model.training.averaged_weights import AveragedWeights
+from model.training.loop import AveragedWeights
 from toy import SMALL, toy_index
 
 

@@ -21,7 +21,6 @@ from safetensors.numpy import load_file, save_file
 from model import RunError, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
 from model.onnx_export import export_onnx
-from model.runs import checksums
 from toy import ONE
 
 
@@ -74,7 +73,7 @@ def test_a_file_too_large_for_its_network_is_not_read(run: Path, name: str, hole
 
 
 def test_a_checkpoint_of_any_network_is_read(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checksums, "_MAX_OTHER_BYTES", 1 << 16)
+    monkeypatch.setattr("model.runs.checkpoint._MAX_OTHER_BYTES", 1 << 16)
     assert checkpoint(run).stat().st_size > 10 * (1 << 16)
     load_pilot(run / "last")
 

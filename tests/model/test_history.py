@@ -14,8 +14,7 @@ import pytest
 
 from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
-from model.runs.history import History, read_history
-from model.runs.history_lines import parse_epoch
+from model.runs.history import History, parse_epoch, read_history
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Step
 from model.training.run_writer import RunWriter
 

@@ -44,7 +44,7 @@ def pictures(count: int) -> Image:
 def in_place_of_graph(monkeypatch: pytest.MonkeyPatch, wrong: float = 0.0) -> None:
     """A processor's recording: the calculation is made again, and its answers are put where the first ones are."""
 
-    def record(calculate: Callable[[], Tensor], device: torch.device) -> Recorded:
+    def record(calculate: Callable[[], Tensor], device: torch.device, calls_before: int) -> Recorded:
         answers = calculate().clone()
 
         def replay() -> None:
@@ -73,7 +73,7 @@ def test_a_recording_that_answers_otherwise_is_not_used(monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("error", [RuntimeError("operation not permitted when stream is capturing"), TypeError()])
 def test_what_cannot_be_recorded_is_not_replayed(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
-    def record(calculate: Callable[[], Tensor], device: torch.device) -> Recorded:
+    def record(calculate: Callable[[], Tensor], device: torch.device, calls_before: int) -> Recorded:
         raise error
 
     monkeypatch.setattr(replayed, "record", record)

@@ -20,10 +20,9 @@ from model.adam import Adam
 from model.device import Machine
 from model.network.faster_layers import FasterLayers, pooled_convolution
 from model.network.original import SteeringNetwork
+from model.network.replayed import record
 from model.network.small import SmallNetwork
-from model.training import training_steps
-from model.training.step import training_step
-from model.training.training_steps import TrainingSteps
+from model.training.step import TrainingSteps, training_step
 
 
 @functools.cache
@@ -168,7 +167,7 @@ def steps_taken(
     raises `error`."""
     recorded: list[Tensor] = []
 
-    def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
+    def recorded_step(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
         assert device == machine.device
         result = torch.zeros(())
         recorded.append(result)
@@ -180,7 +179,7 @@ def steps_taken(
 
         return replay, result
 
-    monkeypatch.setattr(training_steps, "record", record)
+    monkeypatch.setattr("model.training.step.record", recorded_step)
     torch.manual_seed(5)
     network = SmallNetwork()
     machine = Machine(torch.device("cuda"), torch.float32, 4)
@@ -247,7 +246,11 @@ def test_a_step_is_recorded_on_the_gpu_that_trains(fails: bool, monkeypatch: pyt
     monkeypatch.setattr(torch.cuda, "graph_pool_handle", lambda: (0, 1))
     graphsafe = SimpleNamespace(clone_state=generator.get_state, graphsafe_set_state=generator.set_state)
     monkeypatch.setattr(torch.cuda, "default_generators", (graphsafe,))
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: stream[-1])
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device=None: stream[-1])
+    monkeypatch.setattr(torch.cuda, "Stream", lambda: SimpleNamespace(wait_stream=lambda stream: None))
+    monkeypatch.setattr(torch.cuda, "stream", lambda stream: contextlib.nullcontext())
+    monkeypatch.setattr(torch.cuda, "get_sync_debug_mode", lambda: 0)
+    monkeypatch.setattr(torch.cuda, "set_sync_debug_mode", lambda mode: None)
     monkeypatch.setattr(torch.cuda, "set_stream", stream.append)
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
     monkeypatch.setattr(torch._C, "_cuda_endAllocateToPool", lambda device, pool: None, raising=False)
@@ -255,9 +258,9 @@ def test_a_step_is_recorded_on_the_gpu_that_trains(fails: bool, monkeypatch: pyt
     monkeypatch.setattr(torch.cuda, "graph", graph)
     if fails:
         with pytest.raises(RuntimeError, match="not permitted"):
-            training_steps.record(calculate, torch.device("cuda:0"))
+            record(calculate, torch.device("cuda:0"))
     else:
-        assert float(training_steps.record(calculate, torch.device("cuda:0"))[1]) == 1
+        assert float(record(calculate, torch.device("cuda:0"))[1]) == 1
     assert (recording, current) == ([torch.device("cuda:0")], [torch.device("cuda:1")])
     assert (stream[-1], reset) == ("first", [True] * fails)
     assert torch.equal(generator.get_state(), drawn)

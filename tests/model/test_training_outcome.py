@@ -12,7 +12,7 @@ import pytest
 from histories import epoch_line, write_lines
 from model.cli import main
 from model.runs.history import read_history
-from model.runs.training_outcome import outcome_lines
+from model.runs.training_progress import outcome_lines
 from toy import toy_index
 from udacity import call
 

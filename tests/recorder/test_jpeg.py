@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dataset import decode
 from recorder.pictures.decoding import decode_picture
-from recorder.pictures.whole_picture import is_whole_jpeg, whole_jpeg_size
+from recorder.pictures.picture_size import is_whole_jpeg, whole_jpeg_size
 
 ENCODINGS: dict[str, list[int]] = {
     "baseline": [],

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.pictures.whole_picture import PADDING_BYTES, whole_png_size
+from recorder.pictures.picture_size import PADDING_BYTES, whole_png_size
 
 NOISE = np.random.default_rng(7).integers(0, 256, (40, 56, 4), np.uint8)
 PNG = cv2.imencode(".png", NOISE[..., :3])[1].tobytes()

@@ -133,7 +133,9 @@ def test_a_check_names_a_recording_that_is_mirrored(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_an_import_says_that_it_is_mirrored(side: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_index_says_that_a_session_is_mirrored(
+    side: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     steering = side * hand(np.arange(700) / RATE_HZ)
     lines = [f"{row}.jpg,{row / RATE_HZ},{steering[row]},15" for row in range(700)]
     for row, picture in enumerate(views(700)):
@@ -142,7 +144,8 @@ def test_an_import_says_that_it_is_mirrored(side: int, tmp_path: Path, capsys: p
     csv.write_text("\n".join(["image,t,steering,mph", *lines]))
     columns = ("image=image", "time_s=t", "steering=steering", "speed_mph=mph")
     assert call(bc_import, csv, "a", "--columns", *columns, "--sessions", tmp_path / "sessions") == 0
-    assert ("a.mcap: its pictures turn the other way" in capsys.readouterr().err) is (side < 0)
+    assert call(bc_index, "--sessions", tmp_path / "sessions", "--index", tmp_path / "index") == 0
+    assert ("a: its pictures turn the other way" in capsys.readouterr().err) is (side < 0)
 
 
 def flagged_rows(index: Path) -> list[int]:

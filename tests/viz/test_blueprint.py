@@ -16,7 +16,7 @@ from driving import road_jpeg
 from logs import START_NS, STEP_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from recorder.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic, prediction_topic
 from rrd import contents, view_names
 from simulator.pose import Pose

@@ -13,7 +13,7 @@ from driving import road_jpeg
 from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from rrd import contents, view_names
 from simulator.pose import Pose
 from udacity import call

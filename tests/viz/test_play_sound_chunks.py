@@ -20,7 +20,7 @@ from plain_mcap import StoredChunk
 from plain_mcap import contents as plain_contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from rrd import contents
 from simulator.pose import Pose
 from udacity import call

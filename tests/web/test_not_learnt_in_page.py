@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import dataset.cli
-from dataset.index.not_learnt import not_learnt_in
+from dataset.samples.samples_format import not_learnt_in
 from driving import road_jpeg
 from logs import START_NS
 from pages import open_session, opened_page

@@ -14,7 +14,7 @@ from driving import untrained_run
 from logs import write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from recorder.teleop.wheel import Wheel
 from runs import a_run
 from simulator.pose import Pose
