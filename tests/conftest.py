@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from hypothesis import settings
 
-from chromium import chromium
-from needs import RECORDINGS, require
-from places import Place, as_bucket, url_within
+from tests.helpers.chromium import chromium
+from tests.helpers.needs import RECORDINGS, require
+from tests.helpers.places import Place, as_bucket, url_within
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-    from bucket import Bucket
+    from tests.helpers.bucket import Bucket
 
 # No test depends on a clock; and the same examples every time: a failure that comes and goes helps nobody.
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=20)
@@ -134,7 +134,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture(scope="session")
 def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The index of toy.py's road; its log lies beside it. It is for reading alone."""
-    from toy import toy_index  # PyTorch
+    from tests.helpers.toy import toy_index  # PyTorch
 
     return toy_index(tmp_path_factory.mktemp("toy"))
 
@@ -143,7 +143,7 @@ def index(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of one epoch on that index, named `first`, alone in its folder. It is for reading alone."""
     from model import train  # PyTorch
-    from toy import ONE
+    from tests.helpers.toy import ONE
 
     return train(index, tmp_path_factory.mktemp("runs") / "first", ONE, show_progress=False).run
 
@@ -151,7 +151,7 @@ def trained(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def exported_once() -> Iterator[None]:
     """What is made of an ONNX export is tested, and not the export itself."""
-    from exports import export_once  # onnx
+    from tests.helpers.exports import export_once  # onnx
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("model.onnx_export._exported", export_once)
@@ -181,7 +181,7 @@ def place(
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bucket]:
     """An empty bucket of its own, for who works in an empty folder and has nothing cached yet."""
-    from bucket import serving_bucket  # obstore
+    from tests.helpers.bucket import serving_bucket  # obstore
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))

@@ -16,8 +16,8 @@ from PIL import Image, ImageSequence
 
 import make_architecture
 import make_commands
-from driving import COMMANDS, Process, command
-from repository import ROOT
+from tests.helpers.driving import COMMANDS, Process, command
+from tests.helpers.repository import ROOT
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), ROOT / "benchmarks" / "README.md"]
 SOURCES = [path for room in make_architecture.ROOMS for path in make_architecture.modules(room)]

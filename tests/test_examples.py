@@ -12,7 +12,6 @@ import pytest
 from drive import drive_session
 from drive.config import DriveConfig
 from drive.drive_server import DriveServer
-from driving import DriveProcess, Process, command, untrained_run
 from model import load_pilot
 from own_simulator import MAX_DEG, Car
 from recorder import Log
@@ -20,9 +19,10 @@ from recorder.log.session_car import Car as Settings
 from recorder.log.session_car import max_steering_deg_of, named_car, stored_car
 from recorder.server import in_flight
 from recorder.topics import POSE
-from repository import ROOT
 from simulator import SimulatorClient, SimulatorTelemetry
-from waiting import PATIENCE_S, wait_until
+from tests.helpers.driving import DriveProcess, Process, command, untrained_run
+from tests.helpers.repository import ROOT
+from tests.helpers.waiting import PATIENCE_S, wait_until
 
 TELEMETRIES = 40
 SETTINGS = ROOT / "examples" / "own_simulator.toml"

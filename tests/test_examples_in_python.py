@@ -18,18 +18,18 @@ from websockets.typing import Subprotocol
 import own_robot
 import own_training
 from foxglove_and_rerun import channels_of, play_to_foxglove, show_in_rerun
-from logs import read_messages, write_log
 from model import load_pilot
 from model.cli import main as bc_train
 from model.network.own_code import load_code
 from recorder import Log
 from recorder.upkeep.check import check
-from repository import ROOT
-from rrd import arrived, contents
 from steering_over_time import steering_over_time
-from toy import STEERING, road, toy_index
-from udacity import call
-from waiting import PATIENCE_S, wait_until
+from tests.helpers.logs import read_messages, write_log
+from tests.helpers.repository import ROOT
+from tests.helpers.rrd import arrived, contents
+from tests.helpers.toy import STEERING, road, toy_index
+from tests.helpers.udacity import call
+from tests.helpers.waiting import PATIENCE_S, wait_until
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from driving import PATIENCE_S, SERVER, environment
+from tests.helpers.driving import PATIENCE_S, SERVER, environment
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="commands are forked so on Linux")
 BEGIN = (

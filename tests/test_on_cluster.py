@@ -25,8 +25,6 @@ import numpy as np
 import pytest
 import yaml
 
-from bucket import serving_bucket
-from clusters import ray_cluster
 from common.car import Camera
 from common.errors import UserError
 from common.ray_cluster import (
@@ -41,12 +39,14 @@ from dataset import build_index
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import LogFolder, drive_runs
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import one_line_of, run, run_code, untrained_run
-from logs import not_a_picture, write_log
-from ports import free_ports
 from recorder.upkeep.check import check
-from repository import ROOT
-from waiting import wait_until
+from tests.helpers.bucket import serving_bucket
+from tests.helpers.clusters import ray_cluster
+from tests.helpers.driving import one_line_of, run, run_code, untrained_run
+from tests.helpers.logs import not_a_picture, write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.repository import ROOT
+from tests.helpers.waiting import wait_until
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from typing import Final
 
 import pytest
 
-from repository import ROOT
+from tests.helpers.repository import ROOT
 
 README: Final = (ROOT / "README.md").read_text(encoding="utf-8")
 LOOP: Final = README.partition("## The loop\n")[2].partition("\n## ")[0]

@@ -13,13 +13,13 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from test_rooms import MAY_IMPORT
 
 import behavioural_cloning_toolkit
-from driving import COMMANDS, PATIENCE_S, command, environment, run_code
-from logs import write_log
-from repository import ROOT
-from udacity import call
+from tests.helpers.driving import COMMANDS, PATIENCE_S, command, environment, run_code
+from tests.helpers.logs import write_log
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call
+from tests.test_rooms import MAY_IMPORT
 
 HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
 

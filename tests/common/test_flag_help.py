@@ -9,12 +9,12 @@ import pytest
 from dataset.cli import main as bc_index
 from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.udacity import call
 from viz.cli import main as bc_play
 
 SCREEN_LINES = 60

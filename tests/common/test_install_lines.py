@@ -9,7 +9,7 @@ import pytest
 
 from common import UserError, versions
 from common.named_function import load_function
-from repository import ROOT
+from tests.helpers.repository import ROOT
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from common.locks import is_being_written, lock, try_lock
-from driving import PATIENCE_S, environment
+from tests.helpers.driving import PATIENCE_S, environment
 
 HOLDER = """
 import sys

@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from common.progress import progress_bar
-from waiting import wait_until
+from tests.helpers.waiting import wait_until
 
 
 def printers() -> list[threading.Thread]:

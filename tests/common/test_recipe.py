@@ -14,8 +14,8 @@ from dataset import IndexConfig, Samples
 from dataset.cli import main as bc_index
 from model import TrainConfig
 from model.cli import main as bc_train
-from toy import toy_index
-from udacity import call
+from tests.helpers.toy import toy_index
+from tests.helpers.udacity import call
 
 
 def trained(folder: Path, *flags: object) -> dict[str, Any]:

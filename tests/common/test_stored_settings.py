@@ -15,8 +15,8 @@ from common.stored_settings import settings_from
 from dataset import IndexConfig
 from model import RunError, TrainConfig, load_pilot, train
 from model.cli import main
-from toy import ONE
-from udacity import call
+from tests.helpers.toy import ONE
+from tests.helpers.udacity import call
 
 
 def through_json(values: object) -> Any:

@@ -17,7 +17,11 @@ from typing import BinaryIO
 import pytest
 
 from common.streams import MAX_QUEUED, BackgroundWriter
-from driving import (
+from model.runs.run_folder import find_run
+from recorder import Log
+from simulator.protocol.client import SimulatorClient
+from simulator.protocol.replay import replay
+from tests.helpers.driving import (
     PATIENCE_S,
     PATIENT,
     command,
@@ -28,15 +32,11 @@ from driving import (
     started_to,
     untrained_run,
 )
-from forked import Forked
-from model.runs.run_folder import find_run
-from ports import free_ports
-from recorder import Log
-from simulator.protocol.client import SimulatorClient
-from simulator.protocol.replay import replay
-from toy import toy_index
-from udacity import make_recording, paths
-from waiting import wait_until
+from tests.helpers.forked import Forked
+from tests.helpers.ports import free_ports
+from tests.helpers.toy import toy_index
+from tests.helpers.udacity import make_recording, paths
+from tests.helpers.waiting import wait_until
 
 if sys.platform == "win32":
     pytest.skip("pipes and terminals as Unix has them", allow_module_level=True)

@@ -26,10 +26,6 @@ from common.store_record import StoreRecord, read_record
 from common.untrusted import open_regular, read_bounded
 from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import BuildState, read_state
-from driving import Process, command, environment, run
-from logs import START_NS, read_messages, write_log
-from mcap_patch import patched
-from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.decoding import decodes
@@ -41,9 +37,13 @@ from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import read_udacity
 from recorder.upkeep.edit import trim
 from recorder.upkeep.recover import recover
-from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import jpeg, make_recording, paths, picture_name
-from waiting import PATIENCE_S, wait_until
+from tests.helpers.driving import Process, command, environment, run
+from tests.helpers.logs import START_NS, read_messages, write_log
+from tests.helpers.mcap_patch import patched
+from tests.helpers.other_logs import CAMERA, ROS_TOPICS, write_bag
+from tests.helpers.tubs import record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.udacity import jpeg, make_recording, paths, picture_name
+from tests.helpers.waiting import PATIENCE_S, wait_until
 
 MEMORY_BYTES = 1 << 30
 HOLE_BYTES = 1 << 42  # of a file without content: it takes no place on the disk

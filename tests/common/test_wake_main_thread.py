@@ -12,7 +12,7 @@ import pytest
 
 from common.interrupts import STOP_SIGNALS, handle_signals
 from common.wake_main_thread import signals_wake_main_thread
-from waiting import PATIENCE_S
+from tests.helpers.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no thread is given signals there")
 

@@ -13,13 +13,13 @@ from torch import Tensor
 
 from common.car import Camera
 from dataset import Batch, DatasetError, IndexConfig, SamplesDataset, build_index, load
-from layouts import write_as_before
-from logs import write_log
 from model.evaluation.predict import predict
 from model.network.original import SteeringNetwork
 from model.training.batches import DeviceBatches
-from plain_mcap import contents
-from udacity import encode
+from tests.helpers.layouts import write_as_before
+from tests.helpers.logs import write_log
+from tests.helpers.plain_mcap import contents
+from tests.helpers.udacity import encode
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
 BROKEN: dict[tuple[Camera, int], bytes] = {

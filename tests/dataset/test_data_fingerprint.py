@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from dataset import DatasetError, IndexConfig, Samples, build_index
-from logs import write_session
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
+from tests.helpers.logs import write_session
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(80)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)

@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from dataset import build_index
-from logs import START_NS, STEP_NS
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.upkeep.log_info import describe
+from tests.helpers.logs import START_NS, STEP_NS
 
 Devices = list["VehicleState.Device"]
 

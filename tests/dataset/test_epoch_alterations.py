@@ -14,8 +14,8 @@ from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
 from dataset.epoch_alterations import EpochAlterations
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, in_channels
-from logs import write_log
-from udacity import scene
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import scene
 
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
 COUNT = 300

@@ -19,11 +19,11 @@ from dataset.cli import main
 from dataset.frames.split import block_numbers, validation_blocks
 from dataset.samples.balance import balance
 from dataset.steering_bins import bin_of
-from logs import START_NS, STEP_NS, plain_read, write_log, write_session
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.row_quality import drive_numbers
-from udacity import call
+from tests.helpers.logs import START_NS, STEP_NS, plain_read, write_log, write_session
+from tests.helpers.udacity import call
 
 STEERING = [0.0] * 150 + [round(0.9 * np.sin(i / 7), 3) for i in range(150)]  # straight on, then bends: 30 s
 BLOCKS = IndexConfig(block_s=2.0)

@@ -16,11 +16,11 @@ from dataset.cli import main
 from dataset.frames.drivers import DRIVERS
 from dataset.frames.frames_table import is_for_training
 from dataset.index.leaks import find_leaks
-from driving import one_line_in
-from logs import START_NS, write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
 
 STEP_NS = 40_000_000  # 25 telemetries a second
 P, H, X = PilotCommand.PILOT, PilotCommand.HUMAN, PilotCommand.EXPERT

@@ -22,13 +22,13 @@ from dataset.frames.frame_flags import FRAME_FLAGS
 from dataset.frames.image_check_cache import check_all_images
 from dataset.samples import samples_format
 from dataset.samples.samples_writer import FROM_FRAMES
-from driving import road_jpeg, run_code
-from logs import START_NS, STEP_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags
 from recorder.rows.condition import rows_where
-from repository import ROOT
+from tests.helpers.driving import road_jpeg, run_code
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.repository import ROOT
 
 PAGE = (ROOT / "docs" / "index-format.md").read_text(encoding="utf-8")
 CAMERAS: tuple[Camera, ...] = ("center", "left", "right")

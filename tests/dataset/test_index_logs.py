@@ -15,15 +15,15 @@ from mcap.writer import Writer as McapWriter
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, find_logs
 from dataset.cli import main
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, write_log
-from places import Place
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags, remove_tags
 from recorder.upkeep.edit import merge, trim
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.places import Place
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]  # 12 s
 

@@ -14,8 +14,8 @@ from common.car import Camera
 from dataset import build_index, find_logs, sessions_not_indexed
 from dataset.cli import main
 from dataset.index.sessions import unfinished_recordings
-from logs import write_log
-from udacity import call
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("cwd")
 

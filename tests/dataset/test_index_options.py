@@ -18,11 +18,11 @@ from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main
 from dataset.frames.split import near_validation
 from dataset.index.leaks import find_leaks
-from logs import write_log, write_session
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
 from recorder.upkeep.edit import merge
-from udacity import call
+from tests.helpers.logs import write_log, write_session
+from tests.helpers.udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
 

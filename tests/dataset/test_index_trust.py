@@ -20,13 +20,13 @@ from dataset.cli import main
 from dataset.config import IndexConfig as Config
 from dataset.frames.frames_table import frames_of, frames_table
 from dataset.index.leaks import find_leaks
-from driving import Process
-from logs import write_log, write_session
 from recorder import Log, LogError, LogWriter, Pictures
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags
 from recorder.rows.row_quality import States
-from udacity import call, jpeg
+from tests.helpers.driving import Process
+from tests.helpers.logs import write_log, write_session
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
 KEY = b"bc.index"

@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 
 from dataset import DatasetError, IndexConfig, build_index, find_logs
 from dataset.cli import main
-from disk import files_of_at_most
-from layouts import Layout, mixed, two_kinds
-from logs import write_log, write_session
 from recorder import Log, LogError
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import write_log, write_session
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(40)]  # 4 s
 

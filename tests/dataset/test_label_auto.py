@@ -13,20 +13,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket
-from bytes_read import count_bytes, note_reads
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.index.build_state import stat_of
 from dataset.index.not_learnt import not_learnt_in
-from logs import write_log
-from mcap_patch import without_lag
-from panorama import hand, of_size, pressed, views, write_drive
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.logs import write_log
+from tests.helpers.mcap_patch import without_lag
+from tests.helpers.panorama import hand, of_size, pressed, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 650  # of 65 s
 NO_PICTURES = [f"{row}".encode() for row in range(ROWS)]

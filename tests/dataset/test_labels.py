@@ -19,11 +19,11 @@ from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.samples.labels import labels_of
 from dataset.steering_bins import bin_of
-from logs import write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags
-from udacity import call
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 MS = 1_000_000  # ns
 

@@ -12,7 +12,7 @@ import pytest
 from dataset import build_index
 from dataset.index.leaks import find_leaks
 from dataset.parquet_file import read_metadata, write_table
-from logs import not_a_picture, write_log
+from tests.helpers.logs import not_a_picture, write_log
 from web.index.index_view import session_bins_sketch
 
 

@@ -37,10 +37,10 @@ from dataset import (
 )
 from dataset.augment import alter
 from dataset.preprocessing import Image
-from driving import environment, run_code
-from logs import plain_read, write_log
-from places import Place
-from udacity import jpeg
+from tests.helpers.driving import environment, run_code
+from tests.helpers.logs import plain_read, write_log
+from tests.helpers.places import Place
+from tests.helpers.udacity import jpeg
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
 BATCH = 16

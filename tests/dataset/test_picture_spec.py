@@ -11,8 +11,8 @@ import pytest
 
 from dataset import IndexConfig, Loader, Samples, build_index, decode, preprocess
 from dataset.picture_spec import ORIGINAL, PictureSpec
-from driving import road_jpeg
-from logs import write_log
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
 
 WIDE = PictureSpec(width_px=200, height_px=66, crop_top=60, crop_bottom=10, channels="YUV")
 

@@ -8,7 +8,7 @@ import pytest
 from dataset import decode, preprocess
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from udacity import encode
+from tests.helpers.udacity import encode
 
 
 def black() -> Image:

@@ -12,12 +12,12 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket
 from common.location import Location, Url
 from dataset import DatasetError, Samples, load
-from driving import one_line_of, run, run_code
-from toy import toy_index
-from workbench import served
+from tests.helpers.bucket import Bucket
+from tests.helpers.driving import one_line_of, run, run_code
+from tests.helpers.toy import toy_index
+from tests.helpers.workbench import served
 
 pytestmark = pytest.mark.usefixtures("project")
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from drive.demo import main as bc_demo
-from driving import COMMANDS, Process, command, environment, one_line_in
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import COMMANDS, Process, command, environment, one_line_in
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 
 
 @pytest.mark.parametrize("flag", ["--epochs=-1", "--laps=nan", "--share=0"])

@@ -15,9 +15,6 @@ from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate
 from drive.evaluation.eval_cli import main as eval_main
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import Process as Child
-from driving import command, one_line_in, run, untrained_run
-from logs import read_messages
 from model import load_pilot
 from recorder import Imported, Log, RecordingError, import_udacity
 from recorder.cli import main as record_main
@@ -26,7 +23,10 @@ from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from simulator.cli import main as sim_main
 from simulator.roads.track import load_track
-from udacity import call
+from tests.helpers.driving import Process as Child
+from tests.helpers.driving import command, one_line_in, run, untrained_run
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import call
 
 DRIVE = SimulatedDrive(track="lake", laps=0.01, seed=5)
 CAMERAS = ("/camera/center", "/camera/left", "/camera/right")

@@ -11,15 +11,15 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from bytes_read import count_bytes, note_reads
 from dataset import IndexConfig, build_index
 from drive.doctor import examine
 from drive.doctor_cli import main
-from driving import run_code, untrained_run
-from histories import epoch_line
-from logs import START_NS, write_log
 from recorder.log_cli import main as log_command
-from udacity import call
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.driving import run_code, untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
 
 STEERING = [0.1 * (row % 7 - 3) for row in range(60)]
 

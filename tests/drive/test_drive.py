@@ -29,7 +29,21 @@ from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.drive_flags import Drive as DriveCommand
 from drive.drive_server import MAX_SIMULATORS, DriveServer
-from driving import (
+from model import load_pilot
+from recorder import Log
+from recorder.bc_pb2 import PilotCommand
+from recorder.server.telemetry import MAX_IMAGE_BYTES
+from recorder.upkeep.recover import recover, recovered_name
+from simulator.protocol.client import (
+    ServerCommand,
+    SimulatorClient,
+    SimulatorMessage,
+    SimulatorTelemetry,
+    SteerCommand,
+    WaitTimeoutError,
+)
+from simulator.protocol.replay import replay
+from tests.helpers.driving import (
     PATIENCE_S,
     DriveProcess,
     Process,
@@ -41,26 +55,12 @@ from driving import (
     run,
     untrained_run,
 )
-from logs import read_messages
-from model import load_pilot
-from ports import free_ports
-from recorder import Log
-from recorder.bc_pb2 import PilotCommand
-from recorder.server.telemetry import MAX_IMAGE_BYTES
-from recorder.upkeep.recover import recover, recovered_name
-from rrd import contents
-from serving import ModernClient, RawClient, fields
-from simulator.protocol.client import (
-    ServerCommand,
-    SimulatorClient,
-    SimulatorMessage,
-    SimulatorTelemetry,
-    SteerCommand,
-    WaitTimeoutError,
-)
-from simulator.protocol.replay import replay
-from udacity import call
-from waiting import wait_until
+from tests.helpers.logs import read_messages
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import contents
+from tests.helpers.serving import ModernClient, RawClient, fields
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 
 REPLAYED, MODERN, TOGETHER, COMMA, MANUAL = 60, 12, 15, 10, 3
 TOPICS = ("/camera/center", "/vehicle", "/pilot/input", "/pilot/command")

@@ -19,11 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common import UserError
-from disk import files_of_at_most
 from drive.control.driver import Decision
 from drive.log.drive_log import DriveLog
-from driving import PATIENCE_S, DriveProcess, road_jpeg, run, untrained_run
-from logs import read_messages
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.bad_telemetry import MAX_OF_EACH
@@ -35,7 +32,10 @@ from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
 from simulator.protocol.client import SimulatorClient
 from simulator.protocol.replay import replay
-from waiting import wait_until
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, DriveProcess, road_jpeg, run, untrained_run
+from tests.helpers.logs import read_messages
+from tests.helpers.waiting import wait_until
 
 WORLD = World(
     time_s=0.0,

@@ -9,11 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from driving import PATIENT, Process, command, command_after, environment, road_jpeg, untrained_run, with_viewer
-from logs import read_messages
 from simulator.protocol.client import SimulatorClient
 from simulator.protocol.replay import replay
-from waiting import wait_until
+from tests.helpers.driving import (
+    PATIENT,
+    Process,
+    command,
+    command_after,
+    environment,
+    road_jpeg,
+    untrained_run,
+    with_viewer,
+)
+from tests.helpers.logs import read_messages
+from tests.helpers.waiting import wait_until
 
 FRAMES = 20
 # In the place of the real one, which would open a window: it tells how it was called, and stays.

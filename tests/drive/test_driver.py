@@ -20,12 +20,12 @@ from drive.config import DriveConfig
 from drive.control.driver import Decision, Driver
 from drive.control.speed_controller import max_curve_speed_mph
 from drive.control.telemetry_picture import MAX_PIXELS
-from driving import road_jpeg
 from model import Pilot
 from model.network.small import SmallNetwork
 from recorder.server.world import World
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import STEP_S, CarState, step
+from tests.helpers.driving import road_jpeg
 
 MIDDLE = World(0.0, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, -0.3, 0.7)
 NONSENSE = {"speed": "fast"}

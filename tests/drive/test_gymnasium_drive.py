@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 import torch
 
-from bucket import serving_bucket
-from disk import files_of_at_most
 from drive.cli import main as bc_drive
-from driving import one_line_in, untrained_run
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.reader import Log
-from repository import ROOT
-from toy_environment import STEPS, bar, with_bars
-from udacity import call
+from tests.helpers.bucket import serving_bucket
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import one_line_in, untrained_run
+from tests.helpers.repository import ROOT
+from tests.helpers.toy_environment import STEPS, bar, with_bars
+from tests.helpers.udacity import call
 
 UNSEEN = ("--viewer", "off")
 SPEED = {"speed": "2.237*speed"}

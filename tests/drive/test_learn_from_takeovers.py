@@ -14,15 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from dataset import IndexConfig, build_index
-from driving import Process, call_drive, command, one_line_in, road_jpeg
-from logs import write_log
 from model import TrainConfig, train
 from model.cli import main
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.session_car import Car, stored_car
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
-from udacity import call
+from tests.helpers.driving import Process, call_drive, command, one_line_in, road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
 DRIVE = Path("takeovers.mcap")

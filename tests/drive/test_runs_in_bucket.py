@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from bucket import Bucket, serving_bucket
 from common.stored_folder import StoredFolder
 from drive.drive_server import DriveServer
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import call_drive, untrained_run
-from logs import write_log
 from model.runs.kept_results import kept_results
-from serving import fields
-from toy import STEERING, road
-from udacity import call
+from tests.helpers.bucket import Bucket, serving_bucket
+from tests.helpers.driving import call_drive, untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.serving import fields
+from tests.helpers.toy import STEERING, road
+from tests.helpers.udacity import call
 
 RUNS, DRIVES = "s3://logs/runs", "s3://logs/drives"
 

@@ -22,12 +22,12 @@ import torch
 
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from drive.cli import main as drive_main
-from forked import Forked, ForkServer
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
-from repository import ROOT
-from udacity import call, encode
-from waiting import PATIENCE_S as PATIENCE_S
+from tests.helpers.forked import Forked, ForkServer
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call, encode
+from tests.helpers.waiting import PATIENCE_S as PATIENCE_S
 
 COMMANDS = (
     "bc-record",

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Final
 
-from repository import HELPERS
+from tests.helpers.repository import HELPERS
 
 # No program reads these while it starts. The first two lines matter when something is shown, the third when a
 # command asks for its cache or an object store. The other variables, and those of Ray, are set for this process by

@@ -7,8 +7,8 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from driving import run_code
 from model.adam import Adam
+from tests.helpers.driving import run_code
 
 
 def network() -> nn.Sequential:

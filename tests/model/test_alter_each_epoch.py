@@ -18,8 +18,8 @@ from model.cli import main
 from model.evaluation.evaluate import evaluate
 from model.runs.history import read_epochs
 from model.runs.provenance import training_of
-from toy import SMALL
-from udacity import call
+from tests.helpers.toy import SMALL
+from tests.helpers.udacity import call
 
 CONFIG = replace(SMALL, epochs=2, batch=6, keep="last", alter_each_epoch=("all",))
 

@@ -15,7 +15,6 @@ from safetensors.torch import load_file as load_tensors
 from common.car import Camera
 from dataset import IndexConfig, Loader, Samples, build_index
 from dataset.picture_spec import ORIGINAL
-from logs import write_log
 from model import RunError, evaluate, load_pilot, train
 from model.network.small import SmallNetwork
 from model.onnx_export import export_onnx
@@ -24,7 +23,8 @@ from model.runs.checksums import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
 from model.training.natural_frequency import NaturalFrames
-from toy import SMALL, STEERING, road
+from tests.helpers.logs import write_log
+from tests.helpers.toy import SMALL, STEERING, road
 
 NEARLY_A_QUARTER = 1 / (1 + 3**0.75)  # of two kinds of frames, one thrice as many: three quarters of the way
 NATURAL = replace(SMALL, epochs=2, answers="natural")

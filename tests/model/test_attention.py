@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from torch import nn
 
 from dataset import decode, preprocess
-from driving import road_jpeg, untrained_run
-from logs import START_NS, STEP_NS, write_log
 from model.evaluation.predict import as_input
 from model.network.original import SteeringNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
-from rrd import contents, view_names
-from udacity import call
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
 from viz.cli import main
 from viz.playback.predicted_recording import overlay
 

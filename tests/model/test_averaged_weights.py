@@ -12,7 +12,7 @@ from safetensors.numpy import load_file
 from model import train
 from model.network.original import SteeringNetwork
 from model.training.averaged_weights import AveragedWeights
-from toy import SMALL, toy_index
+from tests.helpers.toy import SMALL, toy_index
 
 
 def bias_after(steps: list[float], average_steps: int) -> float:

@@ -23,9 +23,9 @@ from dataset.augment import ALTERATIONS, alter
 from dataset.config import EPOCH_ALTERATIONS
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from logs import write_log
 from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
-from udacity import scene
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import scene
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]

@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import untrained_run
-from histories import epoch_line
-from logs import write_log
 from model.runs.kept_results import keep_result
 from model.runs_cli import main as bc_runs
-from runs import a_run
-from toy import STEERING, road
-from udacity import call
+from tests.helpers.driving import untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.toy import STEERING, road
+from tests.helpers.udacity import call
 
 
 @pytest.fixture(autouse=True)

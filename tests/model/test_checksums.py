@@ -22,7 +22,7 @@ from model import RunError, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
 from model.onnx_export import export_onnx
 from model.runs import checksums
-from toy import ONE
+from tests.helpers.toy import ONE
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import torch
 
-from driving import run_code
 from model import TrainConfig
 from model.device import choose_machine, processor_way, training_dtype
+from tests.helpers.driving import run_code
 
 CPU = torch.device("cpu")
 HAS_BFLOAT16 = any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16"))

@@ -17,12 +17,12 @@ from onnx import TensorProto, helper
 from dataset import decode
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import preprocess
-from driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from model import load_pilot
 from model.cli import main
 from model.network.choice import built_in
 from model.onnx_export import IR_VERSION, OPSET, export_onnx
-from udacity import call
+from tests.helpers.driving import PATIENCE_S, environment, road_jpeg, untrained_run
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 

@@ -24,13 +24,13 @@ from common.car import Camera
 from dataset import DatasetError, IndexConfig, build_index, decode
 from drive.evaluation.eval_cli import main
 from drive.evaluation.eval_report import print_evaluation
-from logs import START_NS, not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation.evaluate import Evaluation, evaluate, evaluate_sessions
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from toy import SMALL, STEERING, road
-from udacity import call, encode
+from tests.helpers.logs import START_NS, not_a_picture, plain_read, read_messages, write_log
+from tests.helpers.toy import SMALL, STEERING, road
+from tests.helpers.udacity import call, encode
 
 STEP_NS = 300_000_000
 SPLIT = IndexConfig(flip=False, max_uses=1, block_s=1.2, gap_s=0.3, validation_share=0.4)

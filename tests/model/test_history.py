@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
 from model.runs.history import History, read_history
 from model.runs.history_lines import parse_epoch
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Step
 from model.training.run_writer import RunWriter
+from tests.helpers.histories import epoch_line, step_lines, write_lines, write_run
 
 
 def wrong_epochs() -> list[str]:

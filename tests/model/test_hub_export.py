@@ -14,15 +14,15 @@ import pytest
 from ruamel.yaml import YAML
 
 from dataset import decode
-from disk import files_of_at_most
-from driving import road_jpeg, run_code, untrained_run
 from model import RunError, load_pilot, train
 from model.cli import main
 from model.hub_export import export_to_hub
 from model.runs.kept_results import keep_result
 from model.runs.run_folder import create_run, save_weights
-from toy import SMALL, toy_index
-from udacity import call
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import road_jpeg, run_code, untrained_run
+from tests.helpers.toy import SMALL, toy_index
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 

@@ -11,8 +11,8 @@ import pytest
 from model import Epoch, train
 from model.cli import main
 from model.config import Keep
-from toy import SMALL
-from udacity import call
+from tests.helpers.toy import SMALL
+from tests.helpers.udacity import call
 
 
 @pytest.mark.parametrize("seed", [3, 7])  # of the one, driving-error is least in another epoch; of the other, rmse

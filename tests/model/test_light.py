@@ -20,8 +20,8 @@ from model.network.names import BUILT_IN
 from model.network.picture_network import standardized
 from model.network.small import SmallNetwork
 from model.runs.run_folder import load_network
-from toy import SMALL
-from udacity import call
+from tests.helpers.toy import SMALL
+from tests.helpers.udacity import call
 
 LIGHTS: Final[tuple[Light, ...]] = get_args(Light)
 NOISE = torch.from_numpy(np.random.default_rng(0).integers(0, 160, (4, 3, 48, 96)).astype(np.float32))

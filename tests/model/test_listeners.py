@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from driving import one_line_in
 from model.cli import main
-from repository import ROOT
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call
 
 LISTENER = """
 import json

@@ -11,7 +11,7 @@ import pytest
 from model.epoch_printer import EpochPrinter
 from model.metrics import constant_errors, errors, measure, target_errors
 from model.runs.training_progress import Epoch
-from toy import STEERING
+from tests.helpers.toy import STEERING
 
 
 def test_no_constant_does_better_than_the_mean() -> None:

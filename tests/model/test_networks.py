@@ -15,8 +15,6 @@ from safetensors.numpy import load_file
 
 from dataset import Loader, Samples, decode
 from dataset.picture_spec import PictureSpec
-from driving import road_jpeg, untrained_run
-from logs import write_log
 from model import RunError, TrainConfig, evaluate, export_onnx, load_pilot, predict_log, train
 from model.cli import main
 from model.evaluation.evaluate import evaluate_runs
@@ -25,9 +23,11 @@ from model.network.choice import choose_network
 from model.network.original import SteeringNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
-from needs import require
-from toy import TINY, road
-from udacity import call
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.needs import require
+from tests.helpers.toy import TINY, road
+from tests.helpers.udacity import call
 
 SIZES = {"pilotnet": None, "small": None, "resnet18": (64, 48)}
 """As they are, but for the slow one."""

@@ -19,18 +19,18 @@ import pytest
 from safetensors.numpy import load_file, save_file
 from safetensors.torch import load_file as load_tensors
 
-from bucket import Bucket
 from dataset import decode
 from dataset.preprocessing import Image
-from disk import files_of_at_most
-from driving import PATIENCE_S, environment, road_jpeg, untrained_run
-from exports import export
 from model import RunError, load_pilot
 from model.cli import main
 from model.onnx_export import _without_log, export_onnx
 from model.runs.run_folder import save_weights
-from repository import ROOT
-from udacity import call, encode
+from tests.helpers.bucket import Bucket
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, environment, road_jpeg, untrained_run
+from tests.helpers.exports import export
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call, encode
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 

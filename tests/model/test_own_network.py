@@ -17,7 +17,6 @@ import torch
 from dataset import decode, load
 from dataset.picture_spec import ORIGINAL
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import road_jpeg, untrained_run
 from model import RunError, export_onnx, load_pilot, train
 from model.cli import main
 from model.evaluation.predict import as_input
@@ -25,9 +24,10 @@ from model.network.choice import choose_network, chosen_picture
 from model.network.own_code import load_code
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
-from needs import require
-from toy import TINY
-from udacity import call
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.needs import require
+from tests.helpers.toy import TINY
+from tests.helpers.udacity import call
 
 ONE = replace(TINY, epochs=1, batch=8)
 

@@ -14,10 +14,10 @@ import torch
 
 from dataset import decode
 from dataset.preprocessing import Image
-from driving import Process, road_jpeg, untrained_run
 from model import Pilot, load_pilot
 from model.network.original import SteeringNetwork
 from model.runs.run_folder import load_network
+from tests.helpers.driving import Process, road_jpeg, untrained_run
 
 
 @pytest.fixture(scope="module")

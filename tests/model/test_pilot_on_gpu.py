@@ -12,11 +12,11 @@ from torch import Tensor
 
 import model.pilot
 from dataset.preprocessing import Image
-from driving import untrained_run
 from model import RunError, load_pilot
 from model.device import choose_device
 from model.network import replayed
 from model.network.replayed import replayed_if_equal
+from tests.helpers.driving import untrained_run
 
 CPU = torch.device("cpu")
 UNFIT = torch.device("meta")  # PyTorch's device without numbers: a network can be put there, and never answers

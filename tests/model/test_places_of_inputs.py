@@ -10,12 +10,12 @@ import pytest
 
 from common.location import Url
 from dataset import Samples
-from driving import one_line_of, run, untrained_run
 from model import train
 from model.errors import RunError
 from model.runs.run_folder import weights_checksum
 from model.runs.run_inputs import allowed_index_of, init_of, sessions_of
-from toy import SMALL, toy_index
+from tests.helpers.driving import one_line_of, run, untrained_run
+from tests.helpers.toy import SMALL, toy_index
 
 pytestmark = pytest.mark.usefixtures("project")
 

@@ -22,18 +22,18 @@ from safetensors.numpy import load_file, save_file
 from common.location import local_path
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Samples, build_index
-from disk import files_of_at_most
-from driving import Process, command
-from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
 from model.network.choice import choose_network
 from model.runs.training_progress import Step
 from recorder.upkeep.edit import rewrite
-from repository import HELPERS
-from toy import STEERING, TINY, road
-from udacity import call
-from waiting import wait_until
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, command
+from tests.helpers.logs import write_log
+from tests.helpers.repository import HELPERS
+from tests.helpers.toy import STEERING, TINY, road
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 
 # 5 batches an epoch: dropout, alterations, the mean of the weights and the scale of the answers must go on as well
 NETWORK = f"{HELPERS / 'dropout_network.py'}:DropoutNetwork"
@@ -121,10 +121,9 @@ def train_until_killed(
     train(index, run, CONFIG, killed, init=init, resume=Path(run).exists())
 
 
-TRAINING = f"""
+TRAINING = """
 import json, sys
-sys.path[:0] = {[str(HELPERS), str(Path(__file__).parent)]}
-from test_resume import train_until_killed
+from tests.model.test_resume import train_until_killed
 train_until_killed(*json.loads(sys.argv[1]))
 """
 

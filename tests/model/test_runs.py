@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from driving import run_code
 from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.runs.run_arguments import new_run_name
 from model.runs.run_files import locked_for_training
 from model.runs.run_folder import create_run, find_any_run, load_config
-from toy import ONE, toy_index
+from tests.helpers.driving import run_code
+from tests.helpers.toy import ONE, toy_index
 
 
 def edit(path: Path, **values: Any) -> None:

@@ -33,8 +33,8 @@ from model.runs.run_folder import load_config
 from model.training.step import training_step
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from toy import TINY
-from udacity import encode
+from tests.helpers.toy import TINY
+from tests.helpers.udacity import encode
 
 ROWS = 160
 STEP_S = 0.1

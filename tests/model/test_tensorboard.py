@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from disk import files_of_at_most
-from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
 from model.runs.history import read_history
 from model.training.tensorboard import TensorBoard
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.histories import epoch_line, step_lines, write_lines, write_run
 
 
 def train(

@@ -17,14 +17,14 @@ from common.stored_settings import settings_from
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, decode
 from dataset.cli import main as bc_index
 from dataset.preprocessing import Image
-from logs import plain_read, write_log
 from model import Epoch, RunError, TrainConfig, find_run, load_pilot, train
 from model.cli import main
 from model.network.choice import built_in
 from recorder import Log
-from repository import HELPERS
-from toy import SMALL, STEERING, road
-from udacity import call
+from tests.helpers.logs import plain_read, write_log
+from tests.helpers.repository import HELPERS
+from tests.helpers.toy import SMALL, STEERING, road
+from tests.helpers.udacity import call
 
 SETTINGS = replace(SMALL, rate=1e-3)  # the original's millions of weights: test_bc_train_builds_the_index_...
 

@@ -22,13 +22,13 @@ from safetensors.numpy import load_file, save_file
 from common.car import Camera
 from common.process_settings import usable_cores
 from dataset import DatasetError, IndexConfig, build_index
-from disk import files_of_at_most
-from driving import PATIENCE_S, command, environment, one_line_in
-from logs import write_log
 from model import RunError, load_pilot, train
 from model.cli import main
-from toy import ONE, SMALL, STEERING, road
-from udacity import call
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, command, environment, one_line_in
+from tests.helpers.logs import write_log
+from tests.helpers.toy import ONE, SMALL, STEERING, road
+from tests.helpers.udacity import call
 
 
 def test_an_infinite_loss_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from histories import epoch_line, write_lines
 from model.cli import main
 from model.runs.history import read_history
 from model.runs.training_outcome import outcome_lines
-from toy import toy_index
-from udacity import call
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.toy import toy_index
+from tests.helpers.udacity import call
 
 
 def told(folder: Path, kept: int, *lines: dict[str, object]) -> list[str]:

@@ -15,8 +15,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from driving import untrained_run
-from histories import epoch_line
 from model import Advice, RunError, Verdict, judge
 from model.metrics import Measures, measure
 from model.runs.advice import RULES, advice
@@ -27,7 +25,9 @@ from model.runs.run_numbers import RunNumbers, run_numbers
 from model.runs.training_progress import Epoch
 from model.runs.verdict import verdict_of
 from recorder.log.session_car import BUILT_IN
-from repository import ROOT
+from tests.helpers.driving import untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.repository import ROOT
 
 ERROR = "balanced RMSE and correlation"
 """The study's name of the driving error."""

@@ -14,11 +14,11 @@ import pytest
 
 from common.car import Camera
 from dataset import Samples, decode, preprocess
-from logs import START_NS, STEP_NS
 from model import Epoch, train
 from model.network.choice import built_in
 from model.runs.history import read_history
-from toy import SMALL, STEERING, road, toy_index
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.toy import SMALL, STEERING, road, toy_index
 
 CONFIG = replace(SMALL, epochs=3, batch=16)  # what is worst needs no good network
 SEEN = built_in("small", {}).picture
@@ -74,7 +74,7 @@ def test_a_picture_that_does_not_decode_moves_no_other_picture(
         return b"no picture" if row == broken else road(camera, row)
 
     (tmp_path / "toy.mcap").unlink()
-    monkeypatch.setattr("toy.road", picture)
+    monkeypatch.setattr("tests.helpers.toy.road", picture)
     train(toy_index(tmp_path), tmp_path / "run", CONFIG, show_progress=False)
     worst_of_epochs = read_history(tmp_path / "run")[0].worst
     assert [len(worst.frames) > 0 for worst in worst_of_epochs] == [True] * CONFIG.epochs

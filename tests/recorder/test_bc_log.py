@@ -14,20 +14,20 @@ import cv2
 import numpy as np
 import pytest
 
-from bytes_read import count_bytes, note_reads
 from common.location import Location
-from disk import files_of_at_most
-from driving import PATIENCE_S, command, environment, one_line_in, run
-from logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
-from places import Place
-from plain_mcap import contents, plain_writer
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.check_contents import Finding
 from recorder.upkeep.log_info import describe
-from udacity import call, jpeg, picture
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, command, environment, one_line_in, run
+from tests.helpers.logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
+from tests.helpers.places import Place
+from tests.helpers.plain_mcap import contents, plain_writer
+from tests.helpers.udacity import call, jpeg, picture
 
 
 def log_with(path: Path, rows: list[tuple[float, float, float, bytes | None]]) -> Path:

@@ -11,8 +11,6 @@ import pytest
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from rosbags.rosbag2 import StoragePlugin
 
-from logs import read_messages
-from other_logs import VIDEO, WHEEL
 from recorder import Log, RecordingError
 from recorder.pictures.picture_size import MAX_PIXELS, width_and_height
 from recorder.sources.compressed_video import VideoDecoder, is_video_type, video_in
@@ -20,7 +18,9 @@ from recorder.sources.mcap_messages import FieldError, decoder_for
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.ros2_bag import SqliteFile
 from recorder.sources.settings import ImportSettings
-from videos import (
+from tests.helpers.logs import read_messages
+from tests.helpers.other_logs import VIDEO, WHEEL
+from tests.helpers.videos import (
     FOXGLOVE_TYPE,
     GOP,
     PACKET_TYPE,

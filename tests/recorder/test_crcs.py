@@ -19,12 +19,7 @@ from common.car import CAMERAS
 from dataset.cli import main as bc_index
 from dataset.loader.log_crops import LogCrops
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import untrained_run
-from layouts import mixed
-from logs import START_NS, STEP_NS, write_log
 from model.cli import main as bc_train
-from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
-from plain_mcap import by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.import_cli import main as bc_import
@@ -34,7 +29,12 @@ from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.edit import merge, split, trim, trim_times
 from recorder.upkeep.log_info import describe
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg, picture
+from tests.helpers.driving import untrained_run
+from tests.helpers.layouts import mixed
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
+from tests.helpers.plain_mcap import by_topic, contents, plain_writer, write_plain
+from tests.helpers.udacity import call, jpeg, picture
 from viz.cli import main as bc_play
 
 DATA_END = 0x0F

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from growing_files import WAYS, begin_again
 from recorder.sources.csv_lines import CsvTail
+from tests.helpers.growing_files import WAYS, begin_again
 
 
 def test_lines_are_given_once_each_when_they_have_their_end(tmp_path: Path) -> None:

@@ -24,11 +24,7 @@ import zstandard
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
 
-from bytes_read import count_bytes, note_reads
 from common import UserError
-from layouts import Layout, mixed, two_kinds
-from logs import write_log
-from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError
 from recorder.bc_pb2 import VehicleState
 from recorder.mcap.mcap_file import unpack
@@ -36,6 +32,10 @@ from recorder.topics import VEHICLE
 from recorder.upkeep.check import check
 from recorder.upkeep.derived_log import LAST_ROW
 from recorder.upkeep.recover import recover
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import write_log
+from tests.helpers.plain_mcap import Contents, Stored, contents, write_plain
 
 MAGIC_BYTES = 8
 MASKS = (0xFF, 0x01)

@@ -17,9 +17,6 @@ from mcap.writer import CompressionType
 from common import UserError
 from common.car import CAMERAS
 from common.versions import version_of
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
-from plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags, tags_path
@@ -27,8 +24,11 @@ from recorder.topics import ROW_TOPICS
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
 from recorder.upkeep.recover import recover
-from udacity import jpeg
-from waiting import PATIENCE_S
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
+from tests.helpers.plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
+from tests.helpers.udacity import jpeg
+from tests.helpers.waiting import PATIENCE_S
 
 SECOND_NS = 1_000_000_000
 VERSION = version_of()

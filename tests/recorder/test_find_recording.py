@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 
-from driving import one_line_in
-from imports import topics
-from logs import read_messages
-from other_logs import DRIVE, write_bag, write_mcap
 from recorder import RecordingError, import_udacity
 from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
-from tubs import record_2, write_tub_2
-from udacity import call, make_recording, paths
+from tests.helpers.driving import one_line_in
+from tests.helpers.imports import topics
+from tests.helpers.logs import read_messages
+from tests.helpers.other_logs import DRIVE, write_bag, write_mcap
+from tests.helpers.tubs import record_2, write_tub_2
+from tests.helpers.udacity import call, make_recording, paths
 
 CSV = f"{paths(0)},0,1,0,9.5\n"
 

@@ -21,7 +21,7 @@ from common.car import CAMERAS
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import camera_topic
-from repository import ROOT
+from tests.helpers.repository import ROOT
 
 LAYOUT = ROOT / "docs" / "foxglove-layout.json"
 SCHEMAS: dict[str, Any] = {

@@ -13,18 +13,18 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from common import UserError
-from disk import files_of_at_most
-from driving import PATIENCE_S, Process, command
-from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
-from logs import read_messages
-from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
 from recorder import LogWriter, import_udacity
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import SimulatedDrive
 from recorder.sources.udacity_follow import watch_udacity
-from tubs import record_2, write_tub_2
-from udacity import jpeg, make_recording, paths
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, Process, command
+from tests.helpers.lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
+from tests.helpers.logs import read_messages
+from tests.helpers.other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
+from tests.helpers.tubs import record_2, write_tub_2
+from tests.helpers.udacity import jpeg, make_recording, paths
 
 LIMIT_BYTES = 2_000  # less than a picture has
 SHORT_DRIVE = SimulatedDrive(laps=0.005)

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 import websocket
 
-from driving import PATIENCE_S
 from recorder.server import (
     connection_guard,
     engineio_connection,
@@ -25,7 +24,8 @@ from recorder.server import (
 from recorder.server.allowed_hosts import AllowedHosts
 from recorder.server.telemetry_server import MAX_MESSAGE_BYTES
 from recorder.server.websocket import FRAME_BYTES, TOO_LARGE
-from serving import (
+from tests.helpers.driving import PATIENCE_S
+from tests.helpers.serving import (
     UNUSED,
     Book,
     PollingClient,
@@ -34,7 +34,7 @@ from serving import (
     steered,
     tell,
 )
-from waiting import wait_until
+from tests.helpers.waiting import wait_until
 
 
 def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0, most: int = 1 << 30) -> int:

@@ -19,13 +19,13 @@ from mcap.writer import CompressionType
 from common.car import CAMERAS, Camera
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.image_check_cache import check_all_images, check_images, read_image_check, write_image_check
-from logs import START_NS, STEP_NS, flip_bit
-from plain_mcap import CopiedTopics, plain_writer
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.image_check import ImageCheck
 from recorder.upkeep.check import check
-from udacity import jpeg
+from tests.helpers.logs import START_NS, STEP_NS, flip_bit
+from tests.helpers.plain_mcap import CopiedTopics, plain_writer
+from tests.helpers.udacity import jpeg
 
 WHOLE = [jpeg(100 + number, number + 1) for number in range(20)]
 CUT_OFF = WHOLE[0][: len(WHOLE[0]) // 2]

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from common.car import CAMERAS
-from imports import import_csv
-from lerobot_logs import jpeg
-from logs import read_messages
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
-from udacity import call
+from tests.helpers.imports import import_csv
+from tests.helpers.lerobot_logs import jpeg
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import call
 
 ANGLES = [0.0, -90.0, 45.0, 180.0]
 

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import read_messages
 from recorder import Imported, Log, RecordingError
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.picture_folder import MISSING
 from recorder.sources.recording_kinds import import_recording
-from tubs import FIRST_MS, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.logs import read_messages
+from tests.helpers.tubs import FIRST_MS, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
 
 START_NS = 1_679_574_289_750_000_000
 FIRST_NS = FIRST_MS * 1_000_000

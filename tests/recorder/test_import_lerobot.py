@@ -14,9 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
-from lerobot_logs import decoded, jpeg, write_drives
-from logs import START_NS, read_messages
 from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
 from recorder.import_cli import main as bc_import
@@ -28,7 +25,10 @@ from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import ImportSettings
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
-from udacity import call
+from tests.helpers.lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
+from tests.helpers.lerobot_logs import decoded, jpeg, write_drives
+from tests.helpers.logs import START_NS, read_messages
+from tests.helpers.udacity import call
 
 FRONT = "observation.images.front"
 LENGTHS = [3, 2]

@@ -27,10 +27,15 @@ from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
 from common import UserError
-from driving import one_line_in
-from imports import topics
-from logs import flip_bit, read_messages
-from other_logs import (
+from recorder import Imported, Log, LogError, RecordingError
+from recorder.import_cli import main as bc_import
+from recorder.sources.find_recording import kind_of
+from recorder.sources.recording_kinds import import_recording
+from recorder.sources.settings import ImportSettings
+from tests.helpers.driving import one_line_in
+from tests.helpers.imports import topics
+from tests.helpers.logs import flip_bit, read_messages
+from tests.helpers.other_logs import (
     CAMERA,
     DRIVE,
     PICTURES,
@@ -52,13 +57,8 @@ from other_logs import (
     write_bag,
     write_mcap,
 )
-from plain_mcap import plain_writer
-from recorder import Imported, Log, LogError, RecordingError
-from recorder.import_cli import main as bc_import
-from recorder.sources.find_recording import kind_of
-from recorder.sources.recording_kinds import import_recording
-from recorder.sources.settings import ImportSettings
-from udacity import call
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.udacity import call
 
 
 def png(level: int) -> bytes:

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from common.car import CAMERAS
-from driving import one_line_in
-from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main as bc_record
 from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
-from udacity import call, jpeg, make_recording, paths, picture_name
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import call, jpeg, make_recording, paths, picture_name
 
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 1_000_000_000
 VALUES = [(0.0, 1.0, 0.0, 7.8e-05), (-0.35, 0.25, 0.0, 12.1822), (0.05, 0.0, 1.0, 30.19)]

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from driving import PATIENCE_S
 from recorder.server import in_flight as flight
 from recorder.server import telemetry_server
 from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
-from serving import Book, RawClient, Serving, fields, steered, steering
-from waiting import wait_until
+from tests.helpers.driving import PATIENCE_S
+from tests.helpers.serving import Book, RawClient, Serving, fields, steered, steering
+from tests.helpers.waiting import wait_until
 
 PUSHED = Steer(0.875, 0.125)
 

@@ -11,10 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from bytes_read import count_bytes, note_reads
-from mcap_patch import without_lag
-from panorama import of_size, pressed, views, write_drive
-from places import Place
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
@@ -25,7 +21,11 @@ from recorder.topics import QUALITY_METADATA
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.log_info import LogInfo, describe
 from recorder.upkeep.recover import recover
-from udacity import call
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.mcap_patch import without_lag
+from tests.helpers.panorama import of_size, pressed, views, write_drive
+from tests.helpers.places import Place
+from tests.helpers.udacity import call
 
 ROWS = 1300
 LATE_S = 0.3

@@ -18,10 +18,6 @@ import pytest
 
 from common import UserError
 from common.car import CAMERAS
-from disk import files_of_at_most
-from lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
-from logs import flip_bit
-from places import Place
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.lerobot import export
@@ -29,7 +25,11 @@ from recorder.lerobot.dataset_files import DataFiles
 from recorder.lerobot.export import Exported, export_lerobot
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
+from tests.helpers.logs import flip_bit
+from tests.helpers.places import Place
+from tests.helpers.udacity import call
 
 DATA = "data/chunk-000/file-000.parquet"
 ROWS = range(len(TIMES_NS))

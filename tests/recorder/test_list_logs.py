@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from logs import START_NS, STEP_NS, write_log
-from plain_mcap import plain_writer
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
@@ -17,7 +15,9 @@ from recorder.log_cli import main
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.log_info import describe
-from udacity import call, picture
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.udacity import call, picture
 
 DAY_NS = 24 * 3600 * 10**9
 

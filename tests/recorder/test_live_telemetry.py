@@ -18,13 +18,10 @@ from typing import Any, Literal
 import pytest
 
 from common import UserError
-from driving import PATIENCE_S, Process, command, road_jpeg
-from logs import START_NS, read_messages
 from recorder import Imported, LogWriter, RecordingError
 from recorder.sources.live_telemetry import listen_for_telemetry
 from recorder.sources.settings import ListenSettings
 from recorder.upkeep.check import check
-from serving import ModernClient, RawClient
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -32,6 +29,9 @@ from simulator.protocol.client import (
     SimulatorTelemetry,
     WaitTimeoutError,
 )
+from tests.helpers.driving import PATIENCE_S, Process, command, road_jpeg
+from tests.helpers.logs import START_NS, read_messages
+from tests.helpers.serving import ModernClient, RawClient
 
 # `bc-record --listen` without its flags: the log, the port, and where given the seconds of waiting.
 LISTEN = """

@@ -25,14 +25,14 @@ from mcap_protobuf.schema import register_schema
 
 from common import UserError, atomic_file, files
 from common.car import CAMERAS, Camera
-from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
-from places import Place
-from plain_mcap import plain_writer
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import writer as writing
 from recorder.topics import camera_topic
-from udacity import jpeg
+from tests.helpers.logs import START_NS, STEP_NS, plain_read, read_messages, write_log
+from tests.helpers.places import Place
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.udacity import jpeg
 
 
 def read_everything(path: Path) -> None:

@@ -19,12 +19,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import StoragePlugin
 
 from common.car import CAMERAS, Camera
-from driving import road_jpeg, run, run_code, untrained_run
-from imports import import_csv
-from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
-from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
-from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
@@ -37,10 +32,15 @@ from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
-from repository import ROOT
-from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import jpeg as one_picture
-from udacity import make_recording, paths
+from tests.helpers.driving import road_jpeg, run, run_code, untrained_run
+from tests.helpers.imports import import_csv
+from tests.helpers.logs import START_NS, STEP_NS, plain_read, read_messages
+from tests.helpers.other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
+from tests.helpers.panorama import write_drive
+from tests.helpers.repository import ROOT
+from tests.helpers.tubs import record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.udacity import jpeg as one_picture
+from tests.helpers.udacity import make_recording, paths
 from viz.playback.prediction_log import write_predictions
 
 PAGE = (ROOT / "docs" / "log-format.md").read_text(encoding="utf-8")

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from common.errors import UserError
-from driving import one_line_in
-from logs import write_log
 from recorder.log.tags import tags_path
 from recorder.log_cli import main as bc_log
 from recorder.log_flag import named_log
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 from viz.cli import main as bc_play
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from common.car import CAMERAS
-from logs import START_NS, STEP_NS, not_a_picture
-from plain_mcap import Contents, Stored, StoredChunk, by_topic, contents
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import PICTURE_TOPICS, ROW_TOPICS
 from recorder.upkeep.check import check
 from recorder.upkeep.derived_log import Written
 from recorder.upkeep.recover import recover
+from tests.helpers.logs import START_NS, STEP_NS, not_a_picture
+from tests.helpers.plain_mcap import Contents, Stored, StoredChunk, by_topic, contents
 
 ROWS = 60
 MISSING = "stretches of rows that are missing"

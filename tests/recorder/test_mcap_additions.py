@@ -11,12 +11,22 @@ from typing import Final
 import pytest
 from mcap.stream_reader import StreamReader
 
-from mcap_conformance import CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, STATISTICS
 from recorder import Log, LogError
 from recorder.log_cli import main
 from recorder.topics import LIBRARY
 from recorder.upkeep.check import check
-from udacity import call
+from tests.helpers.mcap_conformance import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    STATISTICS,
+)
+from tests.helpers.udacity import call
 
 ADDED: Final = b"\1\xff\xff"
 PRIVATE: Final = 0x80

@@ -10,12 +10,12 @@ import pytest
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from mcap_conformance import DATA, INPUTS, Input, variants
 from recorder import Log, LogError
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
-from udacity import call
+from tests.helpers.mcap_conformance import DATA, INPUTS, Input, variants
+from tests.helpers.udacity import call
 
 Held = tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]
 

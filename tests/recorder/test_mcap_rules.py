@@ -10,15 +10,15 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 
-from layouts import write_as_before
-from logs import START_NS, STEP_NS, write_log
-from mcap_rules import broken_rules
-from plain_mcap import write_plain
 from recorder import LogWriter
 from recorder.bc_pb2 import Prediction
 from recorder.upkeep.edit import merge, split, trim
 from recorder.upkeep.recover import recover
-from udacity import jpeg
+from tests.helpers.layouts import write_as_before
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.mcap_rules import broken_rules
+from tests.helpers.plain_mcap import write_plain
+from tests.helpers.udacity import jpeg
 
 ROWS = 40
 FOOTER = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC

@@ -27,15 +27,15 @@ from mcap.records import Channel, Message, Schema
 from rerun.chunk import McapReader as RerunReader
 
 from common.car import CAMERAS, Camera
-from driving import road_jpeg
-from layouts import is_of_pictures, write_as_before
-from needs import FOXGLOVE
-from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.upkeep.edit import merge
+from tests.helpers.driving import road_jpeg
+from tests.helpers.layouts import is_of_pictures, write_as_before
+from tests.helpers.needs import FOXGLOVE
+from tests.helpers.plain_mcap import contents
+from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz.viewer_process import viewer_program
-from waiting import PATIENCE_S, wait_until
 
 START_NS, STEP_NS = 1_720_880_000_000_000_000, 40_000_000
 ROWS, ROWS_A_PICTURE, ROWS_AN_EVENT = 300, 30, 20

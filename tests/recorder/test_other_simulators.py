@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from driving import one_line_in
-from logs import read_messages
-from other_logs import DRIVE, TOPICS, write_mcap
 from recorder import Imported, Log, LogWriter, RecordingError, import_udacity
 from recorder.cli import main as bc_record
 from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_follow import watch_udacity
-from tubs import record_1, write_tub_1
-from udacity import call, jpeg, make_recording, paths
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import read_messages
+from tests.helpers.other_logs import DRIVE, TOPICS, write_mcap
+from tests.helpers.tubs import record_1, write_tub_1
+from tests.helpers.udacity import call, jpeg, make_recording, paths
 
 Record = Callable[..., Imported]
 ROWS = "".join(f"IMG/{number}.jpg,,,0.{number},0.5,0,{20 + number}.5\n" for number in range(1, 5))

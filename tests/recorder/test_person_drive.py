@@ -21,8 +21,6 @@ import pytest
 from common import UserError
 from common.car import CAMERAS, Camera
 from dataset import build_index
-from disk import files_of_at_most
-from driving import Process, command, road_jpeg
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
 from recorder.log.road_places import last_place_m
@@ -44,9 +42,11 @@ from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
 from simulator.rendering.camera import Picture
 from simulator.roads.track import load_track
-from udacity import call
-from waiting import wait_until
-from wheel_page import WheelPage
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, command, road_jpeg
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_page import WheelPage
 
 State = dict[str, Any]
 

@@ -13,16 +13,16 @@ from mcap.reader import make_reader
 from mcap.records import ChunkIndex, McapRecord, Statistics
 from mcap.writer import CompressionType
 
-from bytes_read import count_bytes, note_reads
 from common.car import CAMERAS
-from logs import flip_bit, write_log
-from mcap_patch import nested, patched
-from plain_mcap import CopiedTopics, contents, plain_writer
 from recorder import Log
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, split, trim
 from recorder.upkeep.recover import recover
-from udacity import picture
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.logs import flip_bit, write_log
+from tests.helpers.mcap_patch import nested, patched
+from tests.helpers.plain_mcap import CopiedTopics, contents, plain_writer
+from tests.helpers.udacity import picture
 
 PLACE = struct.Struct("<HIQIIIII")  # channel, row, time, chunk, offset, length, picture, its length
 CHUNK = struct.Struct("<QI")  # start, CRC

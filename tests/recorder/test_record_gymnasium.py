@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 import pytest
 
-from driving import one_line_in
 from recorder.cli import main as bc_record
 from recorder.log.reader import Log
 from recorder.log_cli import main as bc_log
 from recorder.upkeep.check import check
-from repository import ROOT
-from toy_environment import RATE_HZ, STEPS, bar, place_in, with_bars
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.repository import ROOT
+from tests.helpers.toy_environment import RATE_HZ, STEPS, bar, place_in, with_bars
+from tests.helpers.udacity import call
 
 BARE = ["--gym", "toy_environment:toy/Bar-v0"]
 CENTRE = ["--expert", "toy_environment:centre"]

@@ -10,17 +10,17 @@ import pytest
 from mcap.writer import CompressionType
 
 from dataset import IndexConfig, Samples, build_index
-from driving import one_line_in
-from layouts import write_as_before
-from logs import flip_bit, tags_of, write_log
-from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from tests.helpers.driving import one_line_in
+from tests.helpers.layouts import write_as_before
+from tests.helpers.logs import flip_bit, tags_of, write_log
+from tests.helpers.plain_mcap import contents, write_plain
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)

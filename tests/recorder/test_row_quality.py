@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import START_NS
-from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.row_quality import ROW_FLAGS, RowFlag, States, drive_numbers, row_flags, summary
+from tests.helpers.logs import START_NS
+from tests.helpers.plain_mcap import contents
 
 SECOND_NS = 1_000_000_000
 

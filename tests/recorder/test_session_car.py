@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from driving import one_line_in
-from logs import write_log
 from recorder import Log, LogWriter
 from recorder.cli import main as bc_record
 from recorder.errors import LogError
@@ -19,8 +17,10 @@ from recorder.log_cli import main as bc_log
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
-from serving import fields
-from udacity import call, jpeg, paths
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import write_log
+from tests.helpers.serving import fields
+from tests.helpers.udacity import call, jpeg, paths
 
 OWN = """\
 max_steering_deg = 30

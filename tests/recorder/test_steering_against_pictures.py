@@ -13,7 +13,6 @@ from dataset.cli import main as bc_index
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import read_frames
 from dataset.frames.image_check_cache import write_image_check
-from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log, LogWriter
 from recorder.import_cli import main as bc_import
 from recorder.log.road_places import states_of
@@ -21,7 +20,8 @@ from recorder.log_cli import main as bc_log
 from recorder.seen.steering_against_pictures import against_pictures
 from recorder.topics import POSE
 from recorder.upkeep.check import check
-from udacity import call
+from tests.helpers.panorama import RATE_HZ, Seconds, hand, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 600
 WRONG_S = (20.0, 32.0)

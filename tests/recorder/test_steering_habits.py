@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import START_NS, write_log
 from recorder.log_cli import main
 from recorder.rows.label_plan import plan_labels
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding, SteeringLag, steering_habits
-from udacity import call
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
 
 
 def rows_of(steering: Sequence[float], rate_hz: float = 10.0, time_s: Sequence[float] | None = None) -> States:

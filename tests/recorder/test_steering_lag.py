@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from panorama import RATE_HZ, Seconds, hand, views, write_drive
 from recorder import Log
 from recorder.log_cli import main as bc_log
 from recorder.pictures.decoding import decode_picture
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import SteeringLag
 from recorder.seen.steering_lag import measure_lag
-from udacity import call
+from tests.helpers.panorama import RATE_HZ, Seconds, hand, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 420
 

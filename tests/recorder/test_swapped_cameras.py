@@ -16,7 +16,7 @@ from recorder.log.reader import Log
 from recorder.log_cli import main as log_main
 from recorder.upkeep.swapped_cameras import swapped_cameras
 from simulator.driving.simulation import Simulation
-from udacity import call
+from tests.helpers.udacity import call
 
 MOMENTS = 24
 

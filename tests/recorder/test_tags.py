@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from disk import files_of_at_most
-from driving import PATIENCE_S, environment
 from recorder import LogError
 from recorder.log.tags import Tag, add_tags, check_name, read_tags, remove_tags, tags_by_content, tags_path
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, environment
 
 CONTENT, OTHER_CONTENT = "a" * 64, "b" * 64
 

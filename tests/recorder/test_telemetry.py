@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from driving import road_jpeg
 from recorder.server.telemetry import (
     MAX_IMAGE_BYTES,
     Telemetry,
@@ -20,6 +19,7 @@ from recorder.server.telemetry import (
     parse_telemetry,
 )
 from recorder.server.world import World
+from tests.helpers.driving import road_jpeg
 
 PICTURE = bytes(range(256))
 

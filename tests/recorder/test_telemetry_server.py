@@ -24,8 +24,6 @@ import pytest
 import websocket
 from websocket import ABNF
 
-from driving import PATIENCE_S, environment
-from ports import free_ports
 from recorder.errors import ListenError
 from recorder.server import connection_guard, eventlet_host, telemetry_server
 from recorder.server.engineio_connection import Connection
@@ -33,7 +31,10 @@ from recorder.server.eventlet_host import QuickAckGreenSocket
 from recorder.server.listening_socket import listen
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, Answer, Steer, TelemetryServer
-from serving import (
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from tests.helpers.driving import PATIENCE_S, environment
+from tests.helpers.ports import free_ports
+from tests.helpers.serving import (
     PICTURES,
     UNUSED,
     Book,
@@ -47,8 +48,7 @@ from serving import (
     steering,
     tell,
 )
-from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
-from waiting import wait_until
+from tests.helpers.waiting import wait_until
 
 
 def test_old_and_modern_clients_are_served_at_once_on_one_port() -> None:

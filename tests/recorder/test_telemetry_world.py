@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from drive.config import DriveConfig
 from drive.control.driver import Driver
-from driving import road_jpeg, untrained_run
 from model import Pilot, load_pilot
 from recorder.server.telemetry import parse_telemetry
 from recorder.server.world import MAX_WORLD_NUMBER, MEMBERS, World, parse_world
-from repository import ROOT
 from simulator.pose import Pose
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.repository import ROOT
 
 WORLD = World(12.5, -3.0, 4.25, 0.5, 1.5, -0.01, 0.02, -1.25, 0.75, 2, -0.5, 0.25)
 

@@ -18,11 +18,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from driving import environment
-from logs import read_messages
-from repository import ROOT
-from rrd import contents, view_names
-from waiting import PATIENCE_S
+from tests.helpers.driving import environment
+from tests.helpers.logs import read_messages
+from tests.helpers.repository import ROOT
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.waiting import PATIENCE_S
 
 CAMERA = ('"center", "left", "right"]', '"center", "left", "right", "rear"]')
 ENTRY = """

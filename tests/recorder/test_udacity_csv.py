@@ -21,7 +21,7 @@ from recorder.sources.recorded_row import RecordedRow
 from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_csv import UTF16_MARKS
 from recorder.sources.udacity_recording import read_udacity
-from udacity import paths, picture_name
+from tests.helpers.udacity import paths, picture_name
 
 Values = tuple[float, float, float, float]
 HEADERS = ["center,left,right,steering,throttle,brake,speed", '"center", "left", "right", "steering"']

@@ -20,11 +20,11 @@ from mcap.reader import NonSeekingReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from common.car import CAMERAS
-from driving import PATIENCE_S, Process
-from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.sources.udacity_follow import watch_udacity
-from udacity import jpeg, make_recording, paths, picture_name
+from tests.helpers.driving import PATIENCE_S, Process
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import jpeg, make_recording, paths, picture_name
 
 Found = dict[str, set[tuple[int, int, object]]]
 ROWS = [f"{paths(number)},{number / 100},0.5,0,{number + 0.25}" for number in range(6)]

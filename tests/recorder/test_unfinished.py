@@ -22,11 +22,6 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from common import UserError
 from common.car import CAMERAS, Camera
 from common.locks import is_being_written
-from disk import files_of_at_most
-from driving import Process, road_jpeg
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, write_log
-from plain_mcap import Contents, StoredChunk, by_topic, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.upkeep.check import check
@@ -38,7 +33,12 @@ from simulator.protocol.client import (
     SimulatorTelemetry,
     WaitTimeoutError,
 )
-from waiting import wait_until
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, road_jpeg
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.plain_mcap import Contents, StoredChunk, by_topic, contents
+from tests.helpers.waiting import wait_until
 
 ROWS = 40
 

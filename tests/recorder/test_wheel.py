@@ -24,8 +24,8 @@ from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.seat import ABSENT_S, GIVES_UP_S, Seat
 from recorder.teleop.wheel import MAX_IN_FLIGHT, Request, Wheel
 from simulator.roads.track import load_track
-from waiting import PATIENCE_S, wait_until
-from wheel_page import WheelPage
+from tests.helpers.waiting import PATIENCE_S, wait_until
+from tests.helpers.wheel_page import WheelPage
 
 
 @pytest.fixture

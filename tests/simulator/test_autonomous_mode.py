@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from bare_server import OPEN, BareServer, Wire, steer
 from recorder.server.telemetry import Telemetry, parse_telemetry
 from recorder.server.world import World
 from simulator.cli import main
@@ -23,7 +22,8 @@ from simulator.driving.simulation import Simulation
 from simulator.protocol.autonomous_mode import AutonomousDrive, drive_autonomously
 from simulator.protocol.client import SimulatorClient
 from simulator.roads.track import load_track
-from udacity import call
+from tests.helpers.bare_server import OPEN, BareServer, Wire, steer
+from tests.helpers.udacity import call
 
 SET_SPEED_MPH = 12.0
 RATE_HZ = 10.0

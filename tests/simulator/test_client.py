@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from bare_server import OPEN, BareServer, Wire, steer
-from driving import road_jpeg
 from simulator.cli import main as sim_main
 from simulator.protocol.client import (
     FRAME_BYTES,
@@ -25,7 +23,9 @@ from simulator.protocol.client import (
     WaitTimeoutError,
 )
 from simulator.protocol.replay import replay
-from udacity import call
+from tests.helpers.bare_server import OPEN, BareServer, Wire, steer
+from tests.helpers.driving import road_jpeg
+from tests.helpers.udacity import call
 
 
 def begin(wire: Wire) -> None:

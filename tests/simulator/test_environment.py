@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 import simulator  # noqa: F401 - before Gymnasium makes one: the names must be known all the same
 from common.car import CAMERAS
-from driving import run_code, untrained_run
-from repository import ROOT
 from simulator.driving.simulation import Simulation
 from simulator.environment import DrivingEnv, expert
 from simulator.roads.track import load_track
+from tests.helpers.driving import run_code, untrained_run
+from tests.helpers.repository import ROOT
 
 LAKE = "simulator:bc/Lake-v0"
 LEFT_LOCK = np.array([-1.0, 0.5], np.float32)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from driving import road_jpeg
-from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.log.pose_message import pose_message
-from rrd import contents, view_names
 from simulator.pose import Pose
-from udacity import call
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
 from viz.cli import main
 from viz.playback.comparison import distances_along, names_of
 

@@ -22,21 +22,21 @@ import pytest
 import rerun as rr
 
 from common.car import CAMERAS
-from driving import Process, command, command_after, environment, with_viewer
-from logs import START_NS, STEP_NS, read_messages
-from ports import free_ports
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import PICTURE_TOPICS
-from rrd import arrived, contents, listening, lives, view_names
-from udacity import call
+from tests.helpers.driving import Process, command, command_after, environment, with_viewer
+from tests.helpers.logs import START_NS, STEP_NS, read_messages
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import arrived, contents, listening, lives, view_names
+from tests.helpers.udacity import call
+from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz import save_growing, save_rrd
 from viz.cli import main
 from viz.live.follow import LogFeed
 from viz.live.live_log import GrowingLog, find_log
 from viz.live.live_messages import LiveMessage
 from viz.viewer_process import viewer_program
-from waiting import PATIENCE_S, wait_until
 
 ROWS = 8
 

@@ -17,14 +17,14 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from common import UserError
-from driving import PATIENCE_S, road_jpeg
-from logs import STEP_NS, write_log
-from ports import free_ports
-from rrd import contents
-from udacity import call
+from tests.helpers.driving import PATIENCE_S, road_jpeg
+from tests.helpers.logs import STEP_NS, write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import contents
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 from viz.cli import main
 from viz.viewer_process import LOCAL, Ports, Viewer, end_viewer, viewer_program, wait_until_it_listens
-from waiting import wait_until
 
 ROWS = 50
 LENGTH_S = (ROWS - 1) * STEP_NS * 1e-9

@@ -21,13 +21,14 @@ import rerun as rr
 from common import UserError
 from common.car import CAMERAS, Camera
 from common.preview import preview
-from driving import Process, environment
-from logs import START_NS, STEP_NS, write_log
-from ports import free_ports
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from rrd import arrived, contents, lives
-from udacity import call
+from tests.helpers.driving import Process, environment
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import arrived, contents, lives
+from tests.helpers.udacity import call
+from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz.cli import main
 from viz.playback.blueprint import log_layout
 from viz.playback.rerun_recording import PreparedRecording
@@ -35,7 +36,6 @@ from viz.targets import Destination, FinishedContent
 from viz.viewer_connection import viewer_url
 from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
 from viz.viewer_process import Ports, open_viewer, viewer_program, wait_until_it_listens
-from waiting import PATIENCE_S, wait_until
 
 ROWS = 30
 

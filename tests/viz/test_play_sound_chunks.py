@@ -13,17 +13,17 @@ from mcap.records import Channel, Message, Schema
 from mcap_protobuf.schema import build_file_descriptor_set
 from rerun.chunk import McapReader
 
-from driving import one_line_of, road_jpeg, run
-from layouts import is_of_pictures, write_as_before
-from logs import START_NS, STEP_NS
-from plain_mcap import StoredChunk
-from plain_mcap import contents as plain_contents
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.pose_message import pose_message
-from rrd import contents
 from simulator.pose import Pose
-from udacity import call
+from tests.helpers.driving import one_line_of, road_jpeg, run
+from tests.helpers.layouts import is_of_pictures, write_as_before
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.plain_mcap import StoredChunk
+from tests.helpers.plain_mcap import contents as plain_contents
+from tests.helpers.rrd import contents
+from tests.helpers.udacity import call
 from viz import save_rrd
 from viz.cli import main
 

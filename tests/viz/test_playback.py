@@ -15,18 +15,18 @@ from mcap.records import McapRecord, Statistics
 
 from common import UserError
 from common.preview import has_display
-from disk import files_of_at_most
-from driving import Process, command, one_line_in, one_line_of, road_jpeg, run
-from mcap_conformance import variants
-from mcap_patch import patched
-from plain_mcap import plain_writer
-from ports import free_ports
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import EVENTS, PICTURE_TOPICS
 from recorder.upkeep.log_info import describe
-from rrd import contents, view_names
-from udacity import call
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, command, one_line_in, one_line_of, road_jpeg, run
+from tests.helpers.mcap_conformance import variants
+from tests.helpers.mcap_patch import patched
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
 from viz import save_growing, save_rrd
 from viz.cli import main
 from viz.playback.curves import frame_size

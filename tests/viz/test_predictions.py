@@ -15,15 +15,15 @@ from safetensors.numpy import load_file, save_file
 from common import UserError
 from common.car import Camera
 from dataset import decode
-from driving import call_drive, road_jpeg, untrained_run
-from logs import START_NS, STEP_NS, read_messages, write_log
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.upkeep.check import check
-from rrd import contents, view_names
-from udacity import call
+from tests.helpers.driving import call_drive, road_jpeg, untrained_run
+from tests.helpers.logs import START_NS, STEP_NS, read_messages, write_log
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
 from viz.cli import main
 
 ROWS = 70  # more than a batch

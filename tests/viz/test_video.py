@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from common import UserError
-from disk import files_of_at_most
-from driving import Process, command, road_jpeg
-from logs import START_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from udacity import call
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, command, road_jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.udacity import call
 from viz.cli import main
 from viz.video import HELD_S, write_video
 from viz.video_overlay import PREDICTED, RECORDED, WHEEL_DEG, WHEEL_RADIUS, WHEEL_X, WHEEL_Y, clock

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from driving import road_jpeg
-from logs import write_log
-from runs import a_run
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.workbench import Served, served
 from web.folders.project_folders import key_of
-from workbench import Served, served
 
 NOT_TEXT = os.fsdecode(b"b\xffd.mcap")
 

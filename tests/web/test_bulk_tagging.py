@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from faulty_session import CRASH, GAP_AT, STUCK, write_faulty
-from logs import write_log
 from recorder import Log
 from recorder.log.tags import FINE, Tag, add_tags, read_tags
-from waiting import wait_until
-from workbench import Answer, Served, served
+from tests.helpers.faulty_session import CRASH, GAP_AT, STUCK, write_faulty
+from tests.helpers.logs import write_log
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Answer, Served, served
 
 CRASHES = "/sessions.found?only=with+crash"
 

@@ -9,12 +9,12 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from driving import road_jpeg, untrained_run
-from logs import write_log
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 from web.jobs.job_runner import ABOUT, EXIT, OUTPUT
 from web.jobs.jobs import Jobs
-from workbench import Served, plain, served
 
 
 def measured(**changed: object) -> dict[str, object]:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from common.car import Camera
-from logs import write_log
 from recorder import Log
+from tests.helpers.logs import write_log
 from web.logs.film_strip import film_strip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from udacity import call
+from tests.helpers.udacity import call
 from web.cli import main
 
 

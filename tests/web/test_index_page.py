@@ -17,14 +17,14 @@ import pytest
 import dataset.cli
 import recorder.log_cli
 from dataset import IndexConfig, Samples, build_index, decode, load
-from driving import road_jpeg
-from logs import not_a_picture, write_log
 from model.config import TrainConfig
-from pages import opened_page
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import not_a_picture, write_log
+from tests.helpers.pages import opened_page
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 from web.index.index_view import session_bins_sketch
-from workbench import Served, plain, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

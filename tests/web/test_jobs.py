@@ -16,15 +16,15 @@ from urllib.parse import urlencode
 
 import pytest
 
-from driving import Process, command
-from logs import write_log
-from ports import free_ports
-from recorded_formats import as_csv
 from recorder import Log
-from udacity import jpeg
-from waiting import wait_until
+from tests.helpers.driving import Process, command
+from tests.helpers.logs import write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.recorded_formats import as_csv
+from tests.helpers.udacity import jpeg
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served, served_by
 from web.jobs.jobs import Jobs
-from workbench import Served, served, served_by
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from logs import write_log
 from recorder import Log
-from toy import STEERING, road
-from waiting import wait_until
+from tests.helpers.logs import write_log
+from tests.helpers.toy import STEERING, road
+from tests.helpers.waiting import wait_until
 from web.errors import WebError
 from web.folders.cache_folder import CacheFolder
 from web.logs.picture_checks import PictureChecks

@@ -15,16 +15,16 @@ from urllib.parse import parse_qsl, urlencode
 
 import pytest
 
-from driving import road_jpeg
-from histories import epoch_line, write_lines
-from logs import write_log
 from model.config import TrainConfig
 from model.runs.kept_results import keep_result
 from recorder import Log
-from runs import a_run
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 from web.server.templates import with_code
-from workbench import Served, plain, served
 
 AWKWARD = "a & <b>'é 100%"
 CROP = {"session": "sunday", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}

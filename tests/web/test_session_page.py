@@ -14,15 +14,15 @@ import pytest
 
 import recorder.log_cli
 from common.car import Camera
-from disk import files_of_at_most
-from driving import road_jpeg
-from logs import START_NS, write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags, read_tags
-from udacity import call
-from waiting import wait_until
-from workbench import Answer, Served, served
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Answer, Served, served
 
 AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
 STEERING = [0.01 * (row % 40) for row in range(120)]

@@ -18,13 +18,13 @@ import recorder.log_cli
 from common.car import Camera
 from dataset.config import IndexConfig
 from dataset.index.build import build_index
-from driving import road_jpeg
-from logs import START_NS, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from udacity import call
-from waiting import wait_until
-from workbench import Served, plain, served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 
 AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
 

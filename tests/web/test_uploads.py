@@ -14,12 +14,12 @@ import pytest
 
 import recorder.import_cli
 import web.folders.uploads
-from logs import write_log
 from recorder import Log
-from udacity import call, make_recording, paths
-from upload_bodies import upload, upload_body, zipped
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call, make_recording, paths
+from tests.helpers.upload_bodies import upload, upload_body, zipped
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(4))
 

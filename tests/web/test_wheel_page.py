@@ -10,20 +10,20 @@ from pathlib import Path
 
 import pytest
 
-from driving import untrained_run
-from logs import write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.pose_message import pose_message
 from recorder.teleop.wheel import Wheel
-from runs import a_run
 from simulator.pose import Pose
 from simulator.roads.track import load_track
-from waiting import wait_until
+from tests.helpers.driving import untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, key_of
 from web.jobs.wheels import new_drive, training
-from workbench import Served, served
 
 
 @pytest.fixture

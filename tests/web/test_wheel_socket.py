@@ -11,8 +11,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from recorder.teleop.wheel import MAX_PER_S, Wheel
-from waiting import PATIENCE_S, wait_until
-from workbench import Served, served
+from tests.helpers.waiting import PATIENCE_S, wait_until
+from tests.helpers.workbench import Served, served
 
 JPEG = b"\xff\xd8 a picture \xff\xd9"
 
