@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 
 import make_architecture
 import make_commands
-from tests.helpers.driving import COMMANDS, Process, command
+from tests.helpers.driving import COMMANDS, run
 from tests.helpers.repository import ROOT
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), ROOT / "benchmarks" / "README.md"]
@@ -30,11 +30,9 @@ def helps() -> dict[str, str]:
 
     def help_of(name: str) -> str:
         command_name, *subcommand = name.split()
-        python, flag, code, *arguments = command(command_name, *subcommand, "--help-all")
-        code = f"import os; os.environ['COLUMNS'] = '{make_commands.COLUMNS}'; {code}"
-        with Process([python, flag, code, *arguments], loads_pytorch=True) as process:
-            assert process.join() == 0, process.stderr
-        return process.stdout
+        done = run(command_name, *subcommand, "--help-all", columns=make_commands.COLUMNS)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
 
     return make_commands.commands(help_of)
 

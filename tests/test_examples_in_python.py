@@ -48,13 +48,6 @@ def test_steering_over_time(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.turned_deg, [25 * 0.4, 25 * 0.6])
 
 
-def test_a_pause_of_days_has_no_lines_in_steering_over_time(tmp_path: Path) -> None:
-    day_ns = 24 * 3600 * 10**9
-    table = steering_over_time(str(write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3], step_ns=3 * day_ns)))
-    assert table.rows.tolist() == [1, 1, 1]
-    assert table.index.tolist() == [0, 3 * 86400, 6 * 86400]
-
-
 def test_a_training_of_ones_own(
     index: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from common import UserError, versions
-from common.named_function import load_function
+from common import versions
 from tests.helpers.repository import ROOT
 
 
@@ -66,9 +65,3 @@ def test_an_installed_toolkit_knows_where_it_came_from(
     monkeypatch.setattr(versions, "__file__", str(prefix / "site-packages" / "common" / "versions.py"))
     monkeypatch.setattr("importlib.metadata.distribution", lambda name: Installed)
     assert versions.install_line("onnx") == f"pip install {expected.replace('FOLDER', str(tmp_path))}"
-
-
-def test_a_listener_whose_module_is_missing_names_its_package(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("import nothing_of_the_kind.inner\n")
-    with pytest.raises(UserError, match=r"needs the module nothing_of_the_kind, .*`pip install .*_of_the_kind`"):
-        load_function("--listener", f"{tmp_path / 'mine.py'}:Listener")

@@ -23,7 +23,7 @@ from common.output import ask, print_message, print_result, print_table, shell_c
 from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
 from model.cli import main as bc_train
-from tests.helpers.driving import command, environment, started_to
+from tests.helpers.driving import command, environment
 from tests.helpers.logs import write_log
 from tests.helpers.repository import ROOT
 from tests.helpers.toy import road, toy_index
@@ -141,7 +141,7 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
     shown, terminal = pty.openpty()
     colours = {**environment(), "TERM": "xterm"}
     colours.pop("NO_COLOR")
-    process = started_to(stdout or terminal, terminal, line, cwd, colours)
+    process = subprocess.Popen(line, cwd=cwd, env=colours, stdout=stdout or terminal, stderr=terminal)
     os.close(terminal)
     said = b""
     try:

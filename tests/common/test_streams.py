@@ -29,10 +29,8 @@ from tests.helpers.driving import (
     environment,
     road_jpeg,
     run,
-    started_to,
     untrained_run,
 )
-from tests.helpers.forked import Forked
 from tests.helpers.ports import free_ports
 from tests.helpers.toy import toy_index
 from tests.helpers.udacity import make_recording, paths
@@ -123,11 +121,11 @@ READERS = [Head, Stuck, StoppedTerminal, ClosedTerminal]
 @contextmanager
 def read_by(
     kind: Callable[[], Reader], line: list[str], cwd: Path | None = None, results: BinaryIO | None = None
-) -> Iterator[Forked | subprocess.Popen[bytes]]:
+) -> Iterator[subprocess.Popen[bytes]]:
     """A command that has begun, with what it says going to such a reader; its results, to a file that is given."""
     reader = kind()
     out = results.fileno() if results else reader.write
-    process = started_to(out, reader.write, line, cwd, loads_pytorch=True)
+    process = subprocess.Popen(line, cwd=cwd, env=environment(), stdout=out, stderr=reader.write)
     try:
         reader.begin()
         yield process

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dataset import DatasetError, IndexConfig, Samples, build_index
+from dataset import IndexConfig, Samples, build_index
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
 from tests.helpers.logs import write_session
@@ -42,20 +42,6 @@ def test_it_is_the_same_for_the_same_data_wherever_that_lies(folder: Path, tmp_p
     shutil.rmtree(tmp_path / "there" / "index")
     build_index([tmp_path / "there" / "a.mcap"], tmp_path / "elsewhere" / "index", CONFIG)
     assert fingerprint(tmp_path / "elsewhere" / "index") == before
-
-
-def test_it_does_not_depend_on_a_logs_name(folder: Path, tmp_path: Path) -> None:
-    build_index([folder / "a.mcap"], tmp_path / "index", IndexConfig(validation_share=0.0))
-    before = fingerprint(tmp_path / "index")
-    renamed = (folder / "a.mcap").rename(folder / "c.mcap")
-    build_index([renamed], tmp_path / "index", IndexConfig(validation_share=0.0))
-    assert fingerprint(tmp_path / "index") == before
-
-
-def test_it_is_the_same_however_the_file_is_laid_out(folder: Path) -> None:
-    before, path = fingerprint(folder / "index"), folder / "index" / "samples.parquet"
-    pq.write_table(pq.read_table(path), path, row_group_size=7, use_dictionary=False, compression="none")
-    assert fingerprint(folder / "index") == before
 
 
 def test_it_changes_with_a_tag_a_setting_and_another_log(folder: Path) -> None:
@@ -111,18 +97,3 @@ def test_it_changes_with_a_single_value_of_any_column_that_is_read(folder: Path)
         pq.write_table(last_changed(name, value)(table), path)
         fingerprints.add(fingerprint(folder / "index"))
     assert len(fingerprints) == 1 + len(CHANGES)
-
-
-def test_a_damaged_index_has_none(folder: Path) -> None:
-    path = folder / "index" / "samples.parquet"
-    table = pq.read_table(path)
-    for name in CHANGES:
-        at, nulls = table.schema.get_field_index(name), pa.nulls(len(table), table.schema.field(name).type)
-        for damaged in (
-            table.drop_columns(name),
-            table.set_column(at, name, nulls),
-            table.set_column(at, name, pa.array([{"a": 1}] * len(table))),
-        ):
-            pq.write_table(damaged, path)
-            with pytest.raises(DatasetError, match=r"samples\.parquet: damaged.*run `bc-index`"):
-                fingerprint(folder / "index")

@@ -210,10 +210,6 @@ CHOICES: dict[str, Callable[[dict[str, Any]], bool]] = {
 }
 
 
-def test_every_condition_on_the_page_is_tried() -> None:
-    assert first_column(section("Choosing frames with a condition"), "condition") == list(CHOICES)
-
-
 @pytest.mark.parametrize("condition", CHOICES)
 def test_a_condition_chooses_the_frames_that_the_page_says(condition: str, folder: Path) -> None:
     table = frames_file.read_frames(folder / "index" / "frames" / "lake.parquet")

@@ -47,20 +47,6 @@ def test_the_loader_alters_a_networks_view_before_its_colours(tmp_path: Path) ->
             assert (yuv == by_hand(decode(road_jpeg(row)))).all()
 
 
-def test_the_originals_is_told_as_in_all_earlier_runs() -> None:
-    earlier = {
-        "channels": "BGR",
-        "crop_top": "50/160",
-        "crop_bottom": "20/160",
-        "height_px": "128",
-        "width_px": "128",
-        "resize": "bilinear",
-    }
-    assert ORIGINAL.description == earlier
-    assert PictureSpec.from_description(earlier) == ORIGINAL
-    assert PictureSpec.from_description(WIDE.description) == WIDE
-
-
 @pytest.mark.parametrize(
     "changed",
     [

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from dataset import decode, preprocess
-from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from tests.helpers.udacity import encode
 
@@ -46,13 +45,6 @@ def test_a_bright_column_is_where_the_resize_puts_it(column: int) -> None:
     assert crop.any()
 
 
-@pytest.mark.parametrize("rows", [slice(0, 50), slice(140, 160)])
-def test_sky_and_bonnet_are_never_seen(rows: slice) -> None:
-    picture = black()
-    picture[rows] = 255
-    assert not preprocess(picture).any()
-
-
 def test_the_order_of_the_channels_is_kept() -> None:
     picture = black()
     picture[:] = (10, 100, 200)
@@ -84,10 +76,3 @@ def test_a_header_that_promises_too_many_pixels_is_no_picture() -> None:
     longer[16:20] = (1 << 21).to_bytes(4, "big")  # few pixels, but more columns than OpenCV allows
     with pytest.raises(ValueError, match="not a picture"):
         decode(bytes(longer))
-
-
-@pytest.mark.parametrize(("top", "bottom"), [(50, 20), (159, 0), (0, 159)])
-def test_a_crop_leaves_a_row_of_any_picture(top: int, bottom: int) -> None:
-    spec = PictureSpec(crop_top=top, crop_bottom=bottom)
-    for height in range(1, 9):
-        assert preprocess(np.zeros((height, 320, 3), np.uint8), spec).shape == spec.shape

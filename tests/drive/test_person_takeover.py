@@ -110,12 +110,6 @@ def test_no_answer_of_the_network_is_sent_after_a_takeover(supervised: Supervise
     assert of_the_network == 0
 
 
-def test_a_person_who_only_watches_changes_nothing(supervised: Supervised) -> None:
-    networks = supervised.drive()
-    supervised.steer(touching=False)
-    assert supervised.drive().steering == networks.steering
-
-
 def test_letting_go_of_the_keys_is_not_handing_back(supervised: Supervised) -> None:
     supervised.steer()
     supervised.drive()

@@ -8,7 +8,6 @@ from torch import nn
 from torch.nn import functional
 
 from model.adam import Adam
-from tests.helpers.driving import run_code
 
 
 def network() -> nn.Sequential:
@@ -42,19 +41,3 @@ def test_weights_and_moments_are_those_of_pytorchs_own_bit_for_bit(device: str) 
             assert torch.equal(tensor, expected[name])
             assert (tensor.stride(), tensor.dtype) == (expected[name].stride(), expected[name].dtype)
             assert tensor.device == expected[name].device
-
-
-def test_neither_a_step_nor_a_trial_loads_pytorchs_compiler() -> None:
-    """Nor the algebra that it needs: each is a second of imports."""
-    code = (
-        "import sys, torch; from model import TrainConfig; from model.adam import Adam\n"
-        "from model.network.choice import choose_network\n"
-        "weight = torch.ones(2, requires_grad=True); adam = Adam([weight], 0.1)\n"
-        "weight.sum().backward(); adam.step(); adam.zero_grad()\n"
-        "print(weight.grad, *(round(value, 3) for value in weight.tolist()))\n"
-        "network = choose_network(TrainConfig())\n"
-        "parameters = network.try_out(network.picture, torch.device('cpu'))\n"
-        "print(parameters, {'torch._dynamo', 'sympy'} & {*sys.modules})\n"
-    )
-    done = run_code(code)
-    assert done.stdout == "None 0.9 0.9\n5022327 set()\n", done.stderr

@@ -35,11 +35,6 @@ def test_it_is_the_exponential_mean() -> None:
     assert abs(bias_after(values, 20) - expected) < 1e-5
 
 
-def test_over_one_step_it_is_the_network_itself() -> None:
-    network = SteeringNetwork()
-    assert AveragedWeights(network, 1).network is network
-
-
 def test_it_is_kept_and_what_is_learnt_is_not_changed_by_it(tmp_path: Path) -> None:
     index = toy_index(tmp_path)
     runs = [tmp_path / name for name in ("latest", "mean")]

@@ -39,10 +39,6 @@ def test_the_interval_of_blocks_holds_as_often_as_promised(blocks: int, least: f
     assert np.mean([covers(values, 50) for values in series(200, 50 * blocks)]) > least
 
 
-def test_an_interval_of_single_frames_would_not_hold() -> None:
-    assert np.mean([covers(values, 1) for values in series(20, 300)]) < 0.7
-
-
 def test_it_is_as_wide_as_the_formula_for_a_mean() -> None:
     generator = np.random.default_rng(2)
     values = generator.normal(size=400)

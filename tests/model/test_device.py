@@ -34,12 +34,6 @@ def test_the_way_of_each_kind_of_processor(
     assert (way.arithmetic, way.micro_batch) == (arithmetic, micro_batch)
 
 
-def test_arithmetic_that_is_asked_for_has_a_way_on_every_processor() -> None:
-    assert processor_way({"amx_bf16": True}, "bfloat16").micro_batch == 128
-    assert processor_way({"amx_bf16": True}, "float32").micro_batch == 64
-    assert processor_way({"avx2": True}, "bfloat16").arithmetic == "bfloat16"
-
-
 def test_the_arithmetic_is_the_processors_unless_it_is_chosen() -> None:
     assert training_dtype("auto", CPU) == (torch.bfloat16 if HAS_BFLOAT16 else torch.float32)
     assert training_dtype("float32", CPU) == torch.float32

@@ -146,17 +146,6 @@ def test_the_card_says_where_it_drives_and_where_not(exported: Path) -> None:
     assert "| mountain (2.00 laps at 10 mph) | 2.00 | 3 | 98.7 % |" in told
 
 
-def test_places_on_this_machine_stay_here(exported: Path) -> None:
-    for path in exported.iterdir():
-        assert b"secret" not in path.read_bytes(), path
-
-
-def test_it_can_be_exported_again_and_from_there(exported: Path, tmp_path: Path) -> None:
-    again = export_to_hub(exported, tmp_path / "first", licence="cc-by-4.0").folder
-    for name in ("config.json", "model.safetensors", "model.onnx"):
-        assert (again / name).read_bytes() == (exported / name).read_bytes()
-
-
 def test_of_a_run_that_says_nothing_the_card_says_so(
     trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,19 +160,6 @@ def test_of_a_run_that_says_nothing_the_card_says_so(
     assert "Its errors are unknown" in told
     assert "It has not driven yet" in told
     assert "model-index" not in front_matter(tmp_path / "hub")
-
-
-def test_text_of_others_is_no_markup(trained: Path, tmp_path: Path) -> None:
-    run = shutil.copytree(trained, tmp_path / "a|b")
-    config = json.loads((run / "config.json").read_text())
-    name, log = next(iter(config["data"]["logs"].items()))
-    config["data"]["logs"] = {"<script>\n|": log, "[x](y)": {}, name: {"fingerprint": "`"}}
-    (run / "config.json").write_text(json.dumps(config))
-    folder = export_to_hub(run, tmp_path / "hub", licence="x: [y]").folder
-    told = section(folder, "What it learnt from")
-    assert r"| \<script\>\\n\| |" in told
-    assert r"| \[x\](y) |" in told
-    assert front_matter(folder)["license"] == "x: [y]"
 
 
 def test_nothing_is_overwritten_and_nothing_is_left_half(

@@ -17,7 +17,6 @@ from model.cli import main
 from model.config import Light
 from model.network.choice import choose_network
 from model.network.names import BUILT_IN
-from model.network.picture_network import standardized
 from model.network.small import SmallNetwork
 from model.runs.run_folder import load_network
 from tests.helpers.toy import SMALL
@@ -33,13 +32,6 @@ def runs(index: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for light in LIGHTS:
         train(index, folder / light, replace(SMALL, epochs=1, light=light))
     return folder
-
-
-def test_each_colour_of_a_picture_has_mean_0_and_deviation_1() -> None:
-    pictures = standardized(NOISE)
-    assert pictures.mean((2, 3)).numpy() == pytest.approx(0, abs=1e-5)
-    assert pictures.std((2, 3)).numpy() == pytest.approx(1, abs=0.01)
-    assert standardized(torch.full((1, 3, 8, 8), 0.3)).abs().max() < 1e-5  # no division by 0
 
 
 def test_light_hardly_changes_the_answer() -> None:
@@ -97,17 +89,3 @@ def test_a_training_sees_as_the_run_from_which_it_starts(
     capsys.readouterr()
     assert call(main, "--name", "other", *line, "--light", other) == 1
     assert f"its network sees pictures with --light {light}; give this flag" in capsys.readouterr().err
-
-
-def test_an_own_network_may_name_an_argument_as_the_toolkit_does(index: Path, tmp_path: Path) -> None:
-    code = tmp_path / "net.py"
-    code.write_text(
-        "from torch import nn\n\n"
-        "class Net(nn.Sequential):\n"
-        "    def __init__(self, standardized=False):\n"
-        "        super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, 1))\n"
-    )
-    flags = ["--network", f"{code}:Net", "--network-args", "standardized=true", "--epochs", 1, "--threads", 1]
-    line = [*flags, "--batch", 6, "--index", index, "--runs", tmp_path]
-    assert call(main, "--name", "first", *line) == 0
-    assert call(main, "--name", "next", "--init", tmp_path / "first", *line) == 0

@@ -95,15 +95,6 @@ def test_what_is_no_listener_is_one_line_before_anything_is_trained(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_file_that_is_not_there_is_told_before_anything_is_trained(
-    flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(main, *flags, f"{tmp_path / 'mime.py'}:Notes") == 1
-    assert f"did you mean {tmp_path / 'mine.py'}?" in one_line_in(capsys)
-    assert call(main, *flags, "no.py:Notes") == 1
-    assert f"no file no.py; give its path from {Path.cwd()}" in one_line_in(capsys)
-
-
 @pytest.mark.needs("mlflow")
 def test_mlflow_has_the_settings_and_every_point(
     flags: tuple[object, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -201,10 +200,3 @@ def test_what_cannot_be_trained_is_one_line(
     assert said in " ".join(lines)
     assert code == 2 or len(lines) == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_torchvision_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torchvision.models", None)
-    network = choose_network(TrainConfig(network="resnet18"))
-    with pytest.raises(RunError, match=r"install it with `pip install .*\[torchvision\].*`"):
-        network.build()

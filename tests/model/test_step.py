@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from model.adam import Adam
 from model.device import Machine
-from model.network.faster_layers import FasterLayers, pooled_convolution
+from model.network.faster_layers import FasterLayers
 from model.network.original import SteeringNetwork
 from model.network.small import SmallNetwork
 from model.training import training_steps
@@ -126,30 +126,6 @@ def test_a_step_keeps_no_part_of_its_gradient_for_the_next(dtype: torch.dtype) -
     optimizer = Adam(network.parameters(), 1e-3)
     error = training_step(network, optimizer, pictures, labels, dtype=dtype, micro_batch=2)
     assert not any(node.metadata for node in nodes()), error
-
-
-@pytest.mark.parametrize(
-    ("channels", "kernel", "height", "width"), [(3, 5, 128, 128), (24, 5, 29, 62), (2, 3, 8, 5)]
-)
-def test_a_wide_convolution_is_a_convolution_and_its_pooling(
-    channels: int, kernel: int, height: int, width: int
-) -> None:
-    torch.manual_seed(4)
-    layer = nn.Conv2d(channels, 4, kernel)
-    inputs = torch.randn(2, channels, height, width, requires_grad=True)
-    expected, pooled = functional.max_pool2d(layer(inputs), 2), pooled_convolution(layer, inputs)
-    torch.testing.assert_close(pooled, expected)
-    weights = torch.randn_like(expected)
-    learnt = [inputs, *layer.parameters()]
-    gradients = [torch.autograd.grad((outputs * weights).sum(), learnt) for outputs in (pooled, expected)]
-    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
-
-
-def test_wide_convolutions_leave_no_other_pooling_out() -> None:
-    torch.manual_seed(4)
-    features = FasterLayers(nn.Conv2d(3, 4, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Conv2d(4, 5, 3))
-    inputs = torch.randn(2, 3, 12, 12)
-    torch.testing.assert_close(features.with_wider_convolutions(inputs), features(inputs))
 
 
 @pytest.mark.parametrize("pictures", [2, 0])  # none: no picture of a batch decodes

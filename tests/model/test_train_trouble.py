@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,19 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from common.car import Camera
 from common.process_settings import usable_cores
-from dataset import DatasetError, IndexConfig, build_index
+from dataset import IndexConfig, build_index
 from model import RunError, load_pilot, train
 from model.cli import main
 from tests.helpers.disk import files_of_at_most
-from tests.helpers.driving import PATIENCE_S, command, environment, one_line_in
+from tests.helpers.driving import one_line_in
 from tests.helpers.logs import write_log
 from tests.helpers.toy import ONE, SMALL, STEERING, road
 from tests.helpers.udacity import call
@@ -70,36 +67,6 @@ def test_nothing_held_out_trains_all_the_same_and_keeps_the_last_epoch(tmp_path:
     assert [(epoch.is_best, math.isnan(epoch.validation_loss)) for epoch in trained.epochs] == [(True, True)] * 2
     line = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[1])
     assert (line["validation_loss"], line["validation"]["rmse_deg"], line["bins"]) == (None, None, [])
-
-
-@pytest.mark.parametrize(
-    ("bins", "balance"), [(-5, {}), (2**62, {}), (None, {"after": None}), (None, {"before": [-1] * 25})]
-)
-def test_bins_that_cannot_be_are_damage(
-    index: Path, tmp_path: Path, bins: int | None, balance: dict[str, object]
-) -> None:
-    shutil.copytree(index.parent, tmp_path / "toy")
-    path = tmp_path / "toy" / index.name / "samples.parquet"
-    samples = pq.read_table(path)
-    about = json.loads(samples.schema.metadata[b"bc.index"])
-    about["balance"].update(balance)
-    if bins is not None:
-        column = samples.schema.get_field_index("bin")
-        samples = samples.set_column(column, "bin", pa.array([bins] * len(samples)))
-    pq.write_table(samples.replace_schema_metadata({"bc.index": json.dumps(about)}), path)
-    with pytest.raises(DatasetError, match=r"samples\.parquet: damaged \(.*; remove it and run `bc-index`"):
-        train(path.parent, tmp_path / "run", replace(ONE, answers="natural"))
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit addresses")
-@pytest.mark.parametrize("megabytes", [500, pytest.param(700, marks=pytest.mark.long)])
-def test_too_little_memory_for_pytorch_is_a_line(index: Path, tmp_path: Path, megabytes: int) -> None:
-    line = command("bc-train", "--index", index, "--sessions", index.parent, "--runs", tmp_path, "--name", "a")
-    limited = ["bash", "-c", f'ulimit -v {megabytes * 1000}; exec "$@"', "bash", *line]
-    variables = {**environment(), "OPENBLAS_NUM_THREADS": "1"}  # each thread takes memory
-    done = subprocess.run(limited, env=variables, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
-    assert done.stderr.startswith("bc-train: not enough memory")
 
 
 def broken_at(*rows: int) -> Callable[[Camera, int], bytes]:
@@ -272,12 +239,3 @@ def test_a_disk_that_is_full_names_the_file_and_the_way_on(
         assert call(main, "--name", "second", *flags, *places) == 1
     assert "second/config.json: cannot be written (File too large); make room" in capsys.readouterr().err
     assert not (tmp_path / "second").exists()
-
-
-@pytest.mark.parametrize("by", ["--ray", "torchrun"])
-def test_several_processes_are_refused(
-    by: str, index: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "2" if by == "torchrun" else "1")
-    assert call(main, "--index", index, *(["--ray", 2] if by == "--ray" else [])) == 2
-    assert "one training is one process" in capsys.readouterr().err

@@ -47,11 +47,6 @@ def test_why_the_kept_epoch_is_not_that_of_the_least_rmse(tmp_path: Path) -> Non
     assert told(tmp_path / "b", 2, line(1, 3.0, 6.0), line(2, 2.5, 5.0)) == []  # it has both
 
 
-def test_without_frames_held_out_nothing_is_said(tmp_path: Path) -> None:
-    assert told(tmp_path / "nothing held out", 1, epoch_line(1, frames=0)) == []
-    assert told(tmp_path / "none", 0, line(1, 2.0, 3.0)) == []
-
-
 def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     index = toy_index(tmp_path)
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from common.car import Camera
 from dataset import Samples, decode, preprocess
-from model import Epoch, train
+from model import train
 from model.network.choice import built_in
 from model.runs.history import read_history
 from tests.helpers.logs import START_NS, STEP_NS
@@ -91,50 +89,3 @@ def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
         config = replace(SMALL, epochs=epochs, batch=16)
         train(index, tmp_path / "run", config, resume=epochs > 1, show_progress=False)
     assert [line["epoch"] for line in lines(tmp_path / "run")] == [1, 2]
-
-
-def test_of_a_very_long_training_the_last_epochs_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`read_history` takes no file of any size."""
-    monkeypatch.setattr("model.training.run_writer.MAX_WORST_BYTES", 10_000)
-    config = replace(SMALL, epochs=6, batch=16)
-    train(toy_index(tmp_path), tmp_path / "run", config, show_progress=False)
-    history, skipped = read_history(tmp_path / "run")
-    assert len(skipped) == 0
-    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 7))
-    kept = [worst.epoch for worst in history.worst]
-    assert kept == list(range(kept[0], 7))
-    assert 1 < kept[0] < 6
-    assert (tmp_path / "run" / "worst.jsonl").stat().st_size < 2 * 10_000
-
-
-def test_lines_that_no_training_writes_are_skipped_and_named(folder: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
-    for name in ("metrics.jsonl", "steps.jsonl"):
-        (run / name).write_bytes((folder / "run" / name).read_bytes())
-    good = lines(folder / "run")
-    frame = good[1]["frames"][0]
-    _, bomb = cv2.imencode(".png", np.zeros((5000, 5000), np.uint8))  # few bytes, many pixels
-    wrong = (
-        {"epoch": 2, "frames": [{**frame, "jpeg": base64.b64encode(bomb.tobytes()).decode()}]},
-        {"epoch": 2, "frames": [{**frame, "jpeg": "no base64"}]},
-        {"epoch": 2, "frames": [{**frame, "jpeg": "bm8gcGljdHVyZQ=="}]},
-        {"epoch": 2, "frames": [{**frame, "row": -1}]},
-        {"epoch": 2, "frames": [{**frame, "error_deg": None}]},
-        {"epoch": 2, "frames": [{**frame, "session": 7}]},
-        {"epoch": 2, "frames": [frame] * 7},
-        {"epoch": 2, "frames": 3},
-        {"epoch": 1, "frames": []},
-    )
-    (run / "worst.jsonl").write_text("".join(json.dumps(line) + "\n" for line in (good[0], *wrong, good[1])))
-    history, skipped = read_history(run)
-    assert [worst.epoch for worst in history.worst] == [1, 2]
-    assert [name for _, name in skipped] == [f"worst.jsonl line {2 + number}" for number in range(len(wrong))]
-
-
-def test_a_run_of_before_is_shown_without(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "metrics.jsonl").write_bytes((folder / "run" / "metrics.jsonl").read_bytes())
-    history, _ = read_history(tmp_path / "run")
-    assert history.worst == ()
-    assert all(isinstance(epoch, Epoch) for epoch in history.epochs)

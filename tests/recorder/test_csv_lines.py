@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -46,17 +45,6 @@ def test_a_file_that_is_appended_to_is_not_read_again(tmp_path: Path) -> None:
     assert tail.new_lines() == [(1001, b"the last")]
 
 
-def test_a_long_file_that_was_replaced_is_read_again(tmp_path: Path) -> None:
-    csv = tmp_path / "driving_log.csv"
-    lines = [b"line %d\n" % number for number in range(1000)]
-    csv.write_bytes(b"".join(lines))
-    tail = CsvTail(csv)
-    assert len(tail.new_lines()) == 1000
-    (tmp_path / "other").write_bytes(b"".join([b"LINE 0\n", *lines[1:], b"the last\n"]))
-    (tmp_path / "other").replace(csv)
-    assert tail.new_lines() == [(1, b"LINE 0"), (1001, b"the last")]
-
-
 @pytest.mark.parametrize(
     "text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n", b"d\nd\nb\nd\n"]
 )
@@ -73,22 +61,3 @@ def test_of_a_csv_that_begins_again_only_new_lines_are_given(tmp_path: Path, tex
         stream.write(b"c\nd\ne\nb")
     assert tail.new_lines() == [(len(lines) + 2, b"d"), (len(lines) + 3, b"e")]
     assert tail.rest() == []
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
-def test_a_pipe_is_not_opened_so_that_its_writer_does_not_die_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pipe = tmp_path / "driving_log.csv"
-    os.mkfifo(pipe)
-    opened: list[object] = []
-
-    def recording_open(path: Any, *flags: Any) -> int:
-        opened.append(path)
-        return really_open(path, *flags)
-
-    really_open = os.open
-    monkeypatch.setattr(os, "open", recording_open)
-    with pytest.raises(OSError, match="not a regular file"):
-        CsvTail(pipe).new_lines()
-    assert opened == []

@@ -64,17 +64,6 @@ def named(layout: dict[str, Any]) -> set[str]:
     return {text for text in texts(layout["configById"]) if text.startswith("/")}
 
 
-def leaves(node: str | dict[str, Any]) -> Iterator[str]:
-    if isinstance(node, str):
-        yield node
-        return
-    assert node.keys() == {"direction", "first", "second", "splitPercentage"}
-    assert node["direction"] in ("row", "column")
-    assert 0 < node["splitPercentage"] < 100
-    yield from leaves(node["first"])
-    yield from leaves(node["second"])
-
-
 def settings_of(kind: type) -> set[str]:
     """The settings of a panel, or of a line of its, as its JSON calls them."""
     names = {field.name for field in dataclasses.fields(kind)}
@@ -107,12 +96,6 @@ def test_pictures_and_events_are_given_to_panels_that_show_them(layout: dict[str
     assert pictures == {topic for topic, schema in SCHEMAS.items() if schema is CompressedImage.DESCRIPTOR}
     logs = {panel["topicToRender"] for name, panel in panels.items() if name.startswith("RosOut!")}
     assert logs == {topic for topic, schema in SCHEMAS.items() if schema is LogMessage.DESCRIPTOR}
-
-
-def test_every_panel_has_its_place_once_and_a_title_of_its_own(layout: dict[str, Any]) -> None:
-    panels = layout["configById"]
-    assert sorted(leaves(layout["layout"])) == sorted(panels)
-    assert len({panel[TITLE] for panel in panels.values()}) == len(panels)
 
 
 def test_panels_have_settings_that_foxgloves_sdk_knows(layout: dict[str, Any]) -> None:

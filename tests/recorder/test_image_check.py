@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import json
-import math
-import os
-import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import CompressionType
 
 from common.car import CAMERAS, Camera
 from dataset.frames.frame_flags import ImageFindings
-from dataset.frames.image_check_cache import check_all_images, check_images, read_image_check, write_image_check
-from recorder import Log, LogError, LogWriter
+from dataset.frames.image_check_cache import check_all_images, check_images, read_image_check
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.image_check import ImageCheck
 from recorder.upkeep.check import check
-from tests.helpers.logs import START_NS, STEP_NS, flip_bit
-from tests.helpers.plain_mcap import CopiedTopics, plain_writer
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.plain_mcap import plain_writer
 from tests.helpers.udacity import jpeg
 
 WHOLE = [jpeg(100 + number, number + 1) for number in range(20)]
@@ -114,35 +108,6 @@ def test_three_equal_pictures_in_a_row_from_a_moving_car_are_frozen(
     ] == expected
 
 
-class _Job(Future[Any]):
-    def __init__(self, job: Callable[[], Any]) -> None:
-        super().__init__()
-        self._job = job
-
-    def result(self, timeout: float | None = None) -> Any:
-        return self._job()
-
-
-class _WhenAsked(Executor):
-    """The slowest pool there can be: a job is done when its result is asked for."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return _Job(partial(fn, *args, **kwargs))
-
-
-@pytest.mark.parametrize(("pictures", "size"), [(100, 1 << 20), (20_000, 1 << 13)])
-def test_pictures_that_wait_to_be_decoded_take_bounded_memory(pictures: int, size: int) -> None:
-    tracemalloc.start()
-    image_check = ImageCheck(_WhenAsked())
-    for row in range(pictures):
-        image_check.add("/a", row, row, row.to_bytes(4, "big") * (size // 4))  # 100 MB, 160 MB in all
-    image_check.finish()
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert len(image_check.broken) == pictures
-    assert peak < 24 << 20
-
-
 # bc-log check
 
 
@@ -155,13 +120,6 @@ def test_check_tells_frozen_and_broken_pictures_from_sound_ones(tmp_path: Path) 
     assert findings(path, "stretches of frozen pictures") == ["/camera/right rows 4 to 9"]  # from 10 on it stands
     assert check(path).pictures == 60
     assert check(path, look=False).pictures == 0
-
-
-def test_empty_pictures_at_the_start_are_frozen_from_the_first_one_on(tmp_path: Path) -> None:
-    path = write_drive(tmp_path / "a.mcap", picture=lambda camera, row: b"" if row < 4 else WHOLE[row])
-    assert findings(path, "stretches of frozen pictures") == [
-        f"/camera/{camera} rows 0 to 3" for camera in CAMERAS
-    ]
 
 
 @pytest.mark.parametrize("topic", ["/vehicle", "/camera/center"])
@@ -197,22 +155,6 @@ def test_a_car_whose_speed_is_unknown_counts_as_moving(tmp_path: Path, speed_mph
     assert frozen == ({} if speed_mph[0] == 0 else dict.fromkeys(CAMERAS, ((0, 19),)))
 
 
-def test_compressed_logs_with_some_plain_chunks_are_read_in_order(tmp_path: Path) -> None:
-    """Writers store a chunk as it is where compression gains nothing."""
-    source = write_drive(tmp_path / "a.mcap")
-    mixed = tmp_path / "mixed.mcap"
-    options: dict[str, Any] = {"chunk_size": 8_000, "compression": CompressionType.ZSTD}
-    with source.open("rb") as stream, plain_writer(mixed, "bc", **options) as writer:
-        topics = CopiedTopics(writer)
-        for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-            topics.add(schema, channel, message)
-            plain = (message.sequence // 3) % 2
-            writer._Writer__compression = CompressionType.NONE if plain else CompressionType.ZSTD  # type: ignore[attr-defined]
-    with Log(mixed) as log, Log(source) as original:
-        assert {chunk.compression for chunk in log.chunks} == {"", "zstd"}
-        assert check_images(log) == check_images(original)
-
-
 def test_an_unchanged_log_is_looked_at_once(tmp_path: Path) -> None:
     logs = {name: write_drive(tmp_path / f"{name}.mcap") for name in ("a", "b")}
     index = tmp_path / "index"
@@ -229,15 +171,6 @@ def test_an_unchanged_log_is_looked_at_once(tmp_path: Path) -> None:
     assert not any(looked.broken.values())
 
 
-def test_what_was_looked_at_stays_when_a_later_log_stops_the_work(tmp_path: Path) -> None:
-    logs = {name: write_drive(tmp_path / f"{name}.mcap") for name in ("a", "b")}
-    flip_bit(logs["b"], logs["b"].read_bytes().index(WHOLE[5]) + 100)
-    with pytest.raises(LogError, match=r"b\.mcap: damaged"):
-        check_all_images(logs, tmp_path / "index")
-    assert read_image_check(tmp_path / "index", "a", fingerprint(logs["a"])) is not None
-    assert os.listdir(tmp_path / "index" / "looks") == ["a.json"]  # noqa: PTH208
-
-
 SOUND: Mapping[str, Any] = {
     "format": 1,
     "fingerprint": "f",
@@ -252,19 +185,6 @@ WRONG_STRETCHES = (
     *("[[2,1]]", "[[0,2],[2,3]]", "[[5,6],[0,1]]", "[[-1,0]]"),
     *("[[0]]", "[[0,1e9]]", "[[0,true]]", "[0,1]"),
 )
-
-
-def test_a_look_is_read_as_it_was_written(tmp_path: Path) -> None:
-    looked = ImageFindings(10, {"left": ((0, 2), (3, 3))}, {})
-    write_image_check(tmp_path, "a", "f", looked)
-    assert read_image_check(tmp_path, "a", "f") == looked
-    assert read_image_check(tmp_path, "a", "another log") is None
-    assert read_image_check(tmp_path, "b", "f") is None
-    (tmp_path / "looks" / "a.json").write_text(json.dumps(SOUND))
-    assert read_image_check(tmp_path, "a", "f") == looked
-    of_a_later_version = {**SOUND, "more": math.nan}
-    (tmp_path / "looks" / "a.json").write_text(json.dumps(of_a_later_version))
-    assert read_image_check(tmp_path, "a", "f") == looked
 
 
 @pytest.mark.parametrize(
@@ -286,18 +206,3 @@ def test_a_damaged_look_counts_as_none(tmp_path: Path, text: str) -> None:
     (tmp_path / "looks").mkdir()
     (tmp_path / "looks" / "a.json").write_text(text, encoding="latin-1")
     assert read_image_check(tmp_path, "a", "f") is None
-
-
-def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere.json"
-    elsewhere.write_text(json.dumps(SOUND))
-    (tmp_path / "looks").mkdir()
-    link = tmp_path / "looks" / "a.json"
-    link.symlink_to(elsewhere)
-    assert read_image_check(tmp_path, "a", "f") is None
-    write_image_check(tmp_path, "a", "f", ImageFindings(3, {}, {}))
-    assert json.loads(elsewhere.read_text()) == SOUND
-    assert not link.is_symlink()
-    looked = read_image_check(tmp_path, "a", "f")
-    assert looked is not None
-    assert looked.pictures == 3

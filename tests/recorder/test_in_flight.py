@@ -11,7 +11,6 @@ import pytest
 
 from recorder.server import in_flight as flight
 from recorder.server import telemetry_server
-from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 from tests.helpers.driving import PATIENCE_S
 from tests.helpers.serving import Book, RawClient, Serving, fields, steered, steering
@@ -317,13 +316,3 @@ def test_what_was_sent_and_is_not_handled_yet_is_no_silence() -> None:
         loop.expect_answer_to(1)
         loop.client.close()
     assert unread == [False, True]
-
-
-def test_a_clock_stands_while_its_process_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s = 50.0
-    monkeypatch.setattr(time, "monotonic", lambda: now_s)
-    clock = RunningClock()
-    for passed_s in (0.125, 1.5, 3600.0, 0.125):
-        now_s += passed_s
-        clock.tick()
-    assert clock.seconds == 0.25 + 2 * flight.MAX_TICK_S

@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -20,7 +19,6 @@ from recorder.seen import steering_lag
 from recorder.topics import QUALITY_METADATA
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.log_info import LogInfo, describe
-from recorder.upkeep.recover import recover
 from tests.helpers.bytes_read import count_bytes, note_reads
 from tests.helpers.mcap_patch import without_lag
 from tests.helpers.panorama import of_size, pressed, views, write_drive
@@ -105,18 +103,6 @@ def test_nothing_is_measured_where_labels_do_not_depend_on_it(tmp_path: Path) ->
     assert not any(describe(path).lacks_lag for path in paths)
 
 
-def test_a_recording_is_kept_though_its_pictures_cannot_be_looked_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object) -> None:
-        cv2.resize(np.empty((0, 0)), (1, 1))
-
-    monkeypatch.setattr(steering_lag, "measure_lag", fails)
-    path = write_drive(tmp_path / "a.mcap", views(ROWS), pressed)
-    info = describe(path)
-    assert (info.rows, info.notice, info.lacks_lag) == (ROWS, "", True)
-
-
 def test_a_log_of_before_is_measured_by_a_check_once(
     place: Place, unmeasured: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,14 +136,6 @@ def test_what_is_kept_is_for_one_content_and_may_be_damaged(tmp_path: Path, unme
     assert describe(unmeasured).lacks_lag
 
 
-def test_a_check_that_cannot_keep_the_lag_says_so(unmeasured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    unmeasured.with_name("a.lag.json").mkdir()
-    call(main, "check", unmeasured)
-    out, err = capsys.readouterr()
-    assert "lag +0.30" in out
-    assert "`bc-index --look` keeps the lag in the index" in " ".join(err.split())
-
-
 @pytest.mark.parametrize("is_old", [False, True])
 def test_a_derived_log_has_the_lag_of_its_own_rows(is_old: bool, tmp_path: Path) -> None:
     whole = write_drive(tmp_path / "whole.mcap", views(ROWS), half_late)
@@ -175,14 +153,3 @@ def test_a_derived_log_has_the_lag_of_its_own_rows(is_old: bool, tmp_path: Path)
     for path in (*parts, tmp_path / "merged.mcap", tmp_path / "again.mcap"):
         expected = measured(path)
         assert noted(path) == (expected and {**vars(expected)})
-
-
-def test_a_killed_log_is_measured_when_it_is_recovered(tmp_path: Path) -> None:
-    path = write_drive(tmp_path / "a.mcap", views(ROWS), late, live=True)
-    killed = tmp_path / "a.mcap.0a1b2c.part"
-    killed.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
-    assert describe(killed).lacks_lag
-    assert call(main, "check", killed) == 3
-    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".lag.json")]
-    recover(killed, tmp_path / "recovered.mcap")
-    assert noted(tmp_path / "recovered.mcap")["lag_s"] == pytest.approx(LATE_S, abs=0.051)

@@ -324,11 +324,6 @@ def test_every_event_stands_on_the_page(every_kind: dict[str, Written]) -> None:
     assert [event for event in events if not any(pattern.fullmatch(event) for pattern in patterns)] == []
 
 
-def test_the_page_links_bc_proto() -> None:
-    assert "\n[recorder/bc.proto](../recorder/bc.proto)\n" in PAGE
-    assert "PROTO" not in PAGE
-
-
 @pytest.mark.parametrize("message", [VehicleState, PilotCommand, Prediction])
 def test_every_field_stands_on_the_page(
     message: type[VehicleState] | type[PilotCommand] | type[Prediction],

@@ -71,13 +71,6 @@ def test_what_the_environment_does_not_tell_stays_empty() -> None:
     assert set(vehicle["throttle"]) == set(vehicle["brake"]) == {0.0}
 
 
-@pytest.mark.parametrize(("limits", "code"), [("{tuple = [0.5, 0.5]}", 0), ("[0.5, 0.5]", 1)])
-def test_a_setting_may_be_a_tuple(limits: str, code: int) -> None:
-    environment = bar(speed="2.237*speed", args=f"{{limits = {limits}}}")
-    assert call(bc_record, "bar", *environment, *CENTRE) == code
-    assert code or places("bar")[1:] == pytest.approx([0.5] * (STEPS - 1), abs=0.02)
-
-
 def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> None:
     for name, seed, episodes in (("two", 4, 2), ("first", 4, 1), ("second", 5, 1)):
         assert call(bc_record, name, *bar(), *CENTRE, "--seed", seed, "--episodes", episodes) == 0
@@ -86,12 +79,6 @@ def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> Non
     checked = check(Path("sessions/two.mcap"), look=False)
     assert checked.meant_gaps == [f"before row {len(first)}"]  # between the episodes
     assert "gaps in time" not in {finding.kind for finding in checked.findings}
-
-
-def test_rows_may_be_fewer_than_steps() -> None:
-    assert call(bc_record, "bar", *bar(), *CENTRE, "--rate", 10) == 0
-    times = np.array(states("bar")["log_time_ns"], np.float64)
-    np.testing.assert_allclose(np.diff(times) / 1e9, [0.1] * (STEPS // 2 - 1), rtol=1e-4)
 
 
 def test_the_hand_wanders_and_the_experts_steering_is_recorded() -> None:

@@ -77,20 +77,6 @@ def test_a_camera_with_the_pictures_of_another_is_found(
     assert "  cameras with the same pictures: 1 (center and left; " in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("size", [(640, 320), (160, 80)])
-def test_the_size_of_the_pictures_does_not_matter(
-    tmp_path: Path, seen: list[list[bytes]], size: tuple[int, int]
-) -> None:
-    def scaled(data: bytes) -> bytes:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        assert picture is not None
-        return jpeg(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-
-    swapped = [[scaled(centre), scaled(right), scaled(left)] for centre, left, right in seen]
-    with Log(log_of(tmp_path / "a.mcap", swapped)) as log:
-        assert swapped_cameras(log) == "left and right"
-
-
 def test_pictures_that_tell_nothing_are_not_called_swapped(tmp_path: Path, seen: list[list[bytes]]) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (5, 3, 160, 320), dtype=np.uint8)
     black = np.zeros((160, 320), np.uint8)

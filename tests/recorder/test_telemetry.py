@@ -94,35 +94,6 @@ def test_whole_numbers_do_not_change_a_known_decimal_separator(
     assert parsed.steering == pytest.approx(degrees / 25)
 
 
-# Mono's "N4" of -1234.5, of 0.25 and of -0.2167 in all its cultures, one a row, and newer .NET's in two of them
-CULTURES = [
-    ("-1,234.5000", "0.2500", "-0.2167"),  # en-US, and 75 more
-    ("-1.234,5000", "0,2500", "-0,2167"),  # de-DE
-    ("-1\u00a0234,5000", "0,2500", "-0,2167"),  # fr-FR
-    ("-1\u00a0234.5000", "0.2500", "-0.2167"),  # fr-CH
-    ("-1'234.5000", "0.2500", "-0.2167"),  # de-CH
-    ("-1\u2019234.5000", "0.2500", "-0.2167"),  # rm-CH
-    ("- 1.234,5000", "0,2500", "- 0,2167"),  # hr-HR
-    ("- 1,234.5000", "0.2500", "- 0.2167"),  # km-KH
-    ("1,234.5000-", "0.2500", "0.2167-"),  # ar-SA, and 15 more
-    ("1,234/5000-", "0/2500", "0/2167-"),  # fa-IR
-    ("\u200e\u22121\u066c234\u066b5000", "0\u066b2500", "\u200e\u22120\u066b2167"),  # fa-IR, newer .NET
-    ("\u061c-1\u066c234\u066b5000", "0\u066b2500", "\u061c-0\u066b2167"),  # ar-EG, newer .NET
-]
-
-
-@pytest.mark.parametrize(("speed", "throttle", "degrees"), CULTURES)
-def test_every_culture_is_understood_and_answered_in_kind(speed: str, throttle: str, degrees: str) -> None:
-    parsed = parse_telemetry(telemetry(speed=speed, throttle=throttle, steering_angle=degrees))
-    assert (parsed.speed_mph, parsed.throttle) == (-1234.5, 0.25)
-    assert parsed.steering == pytest.approx(-0.2167 / 25)
-    separator = throttle[1]
-    assert format_command(-0.25, 0.5, parsed.decimal_separator) == {
-        "steering_angle": f"-0{separator}250000",  # a minus behind is written there, and not read
-        "throttle": f"0{separator}500000",
-    }
-
-
 def test_what_is_out_of_range_is_told_as_it_came() -> None:
     for degrees, expected in (("25.0000", 1.0), ("-25.0000", -1.0), ("26", 1.04), ("-4,000.0", -160.0)):
         assert parse_telemetry(telemetry(steering_angle=degrees)).steering == expected
@@ -251,10 +222,6 @@ def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, v
 def test_what_is_not_a_picture_in_base64_is_refused(value: object, reason: str) -> None:
     with pytest.raises(TelemetryError, match=f"^image is .*{reason}"):
         parse_telemetry(telemetry(image=value))
-
-
-def test_the_largest_picture_that_is_allowed_is_taken() -> None:
-    assert len(parse_telemetry(telemetry(image="A" * MAX_IMAGE_BYTES)).picture) == MAX_IMAGE_BYTES * 3 // 4
 
 
 @pytest.mark.parametrize("data", [None, "telemetry", [telemetry()], {}])

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from drive.config import DriveConfig
 from drive.control.driver import Driver
 from model import Pilot, load_pilot
-from recorder.server.telemetry import parse_telemetry
 from recorder.server.world import MAX_WORLD_NUMBER, MEMBERS, World, parse_world
 from simulator.pose import Pose
 from tests.helpers.driving import road_jpeg, untrained_run
@@ -66,14 +65,6 @@ def test_a_clock_may_begin_before_0_and_numbers_may_stand_in_strings(time_s: flo
     assert type(parsed.time_s) is float
 
 
-@pytest.mark.parametrize("count", [2, 2.0, "2.0"])
-def test_a_count_may_be_written_with_a_point(count: object) -> None:
-    parsed = used({"interventions": count})
-    assert parsed == World(interventions=2)
-    assert parsed is not None
-    assert type(parsed.interventions) is int
-
-
 def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
     assert used({"offset": "-0,5"}, decimal=",") == World(offset=-0.5)
     assert used({"offset": -0.5}, decimal=",") == World(offset=-0.5)
@@ -103,37 +94,10 @@ def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: obj
     assert parsed == World(**world(**{name: None}))
 
 
-def test_half_a_pose_and_half_an_expert_are_none_and_named() -> None:
-    parsed, problems = parse_world(world(pitch_rad=..., roll_rad=..., expert_throttle=...))
-    assert parsed == World(time_s=12.5, offset=-1.25, laps=0.75, interventions=2)
-    assert problems == (
-        "pitch_rad and roll_rad missing: they belong to x_m",
-        "expert_throttle missing: they belong to expert_steering",
-    )
-    # one that is there and wrong is not missing as well
-    parsed, problems = parse_world(world(x_m="far"))
-    assert problems == ("x_m is a string that is no plain number",)
-    assert parsed is not None
-    assert parsed.pose is None
-
-
-@pytest.mark.parametrize(("value", "kind"), [(True, "true or false"), ("world", "a string"), ([], "a list")])
-def test_what_is_no_object_is_said_to_be_none(value: object, kind: str) -> None:
-    assert parse_world(value)[0] is None
-    assert problem(value) == f"it is not an object but {kind}"
-
-
 @pytest.mark.parametrize("value", [{}, {"time": 3}])
 def test_names_that_nobody_knows_are_told_those_that_are(value: object) -> None:
     assert parse_world(value)[0] is None
     assert all(name in problem(value) for name in MEMBERS)
-
-
-def test_an_experts_command_stays_within_its_bounds() -> None:
-    for parsed, expected in ((1.5, 1.0), (-7, -1.0), (1e8, 1.0), (-1.0, -1.0)):
-        assert used({"expert_steering": parsed, "expert_throttle": parsed}) == World(
-            expert_steering=expected, expert_throttle=expected
-        )
 
 
 SCALARS = (
@@ -176,14 +140,6 @@ def telemetry(**more: object) -> dict[str, Any]:
         "image": base64.b64encode(road_jpeg(1)).decode(),
         **more,
     }
-
-
-def test_the_telemetry_is_good_whatever_its_world_is() -> None:
-    without = parse_telemetry(telemetry())
-    values: tuple[object, ...] = (None, {}, [], "world", {"time": 1})
-    for value in values:
-        parsed = parse_telemetry(telemetry(world=value))
-        assert (parsed.picture, parsed.speed_mph, parsed.world) == (without.picture, without.speed_mph, None)
 
 
 def test_what_is_wrong_with_a_world_is_named_once(pilot: Pilot) -> None:

@@ -144,13 +144,6 @@ def test_they_are_checked(results: Any) -> None:
     assert not any(results["findings"].values())
 
 
-def test_they_are_edited_by_their_rows(folder: Path) -> None:
-    for topic in ("/camera/rear", "/imu"):
-        assert rows_on(folder / "trimmed.mcap", topic) == list(range(5, 15))
-        assert rows_on(folder / "merged.mcap", topic) == list(range(2 * ROWS))
-        assert rows_on(folder / "recovered.mcap", topic) == list(range(ROWS))
-
-
 def test_the_camera_is_indexed(folder: Path) -> None:
     frames = pq.read_table(folder / "index" / "frames" / "whole.parquet")
     rear = frames.filter(pc.equal(frames["camera"], "rear")).sort_by("row")

@@ -188,19 +188,3 @@ def test_any_name_of_a_picture_is_found(folder: Path, prefix: str) -> None:
         assert recording.pictures[name] == str(path.resolve())
     finally:
         path.unlink()
-
-
-def test_a_name_with_a_line_end_is_named_like_any_other(tmp_path: Path) -> None:
-    (tmp_path / "IMG").mkdir()
-    for name in (picture_name("center", 1), "two\nlines.jpg"):
-        (tmp_path / "IMG" / name).touch()
-    recording = read(tmp_path, f"{paths(1)},0,0,0,1\n".encode())
-    assert ("pictures without a row", r"two\nlines.jpg") in list(recording.skipped)
-
-
-@pytest.mark.parametrize("piece", [" ", '"', ".jpg", ".jpg ", ".jpg,.jpg,", "0", ",", "1,", "0,5,"])
-def test_a_very_long_line_does_not_take_for_ever(folder: Path, piece: str) -> None:
-    long = piece * 300_000
-    csv = f"{paths(99)},0,0,0,1\n{long}x\n{paths(2)},{long}x\n".encode()
-    recording = read(folder, csv)
-    assert len(recording.rows) + rows_skipped(recording) == 3

@@ -172,17 +172,3 @@ def test_a_viewer_that_cannot_draw_says_what_helps(
     assert lines == ([] if "exit code" not in says else [last_words])
     assert told.startswith("bc-play: the Rerun viewer ")
     assert says in told
-
-
-@pytest.mark.parametrize(
-    ("count", "says"), [(1, "--at 60: {log} is"), (3, "--at 60: {log} is"), (7, "7 logs: at most 6")]
-)
-def test_no_viewer_opens_for_what_cannot_be_shown(
-    count: int, says: str, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page, data = free_ports(2)
-    assert call(main, *[log] * count, "--at", 60, "--web", "--web-port", page, "--port", data) == 1
-    said = capsys.readouterr()
-    assert said.out == ""  # no address of a page
-    (line,) = said.err.splitlines()
-    assert says.format(log=log) in line

@@ -84,19 +84,6 @@ def test_frames_that_a_run_has_learnt_from_are_named(tmp_path: Path) -> None:
     assert "2 pictures left out, because they do not decode" in text
 
 
-def test_a_comparison_that_failed_says_why_and_other_json_is_none(tmp_path: Path) -> None:
-    for name in "ab":
-        untrained_run(tmp_path / "runs" / name)
-    with served(tmp_path) as bench:
-        job = a_job(bench, "bc-eval: no <index>\n", 2)
-        text = bench.get("/runs.compare?a=a&b=b").text
-        assert "refused: bc-eval: no &lt;index&gt;" in text
-        assert ">Compare</button>" in text
-        (job / OUTPUT).write_text(json.dumps(measured(measures={"rmse_deg": 3})))
-        (job / EXIT).write_text("0")
-        assert bench.get("/runs.compare?a=a&b=b").status == 200
-
-
 def test_the_button_is_the_command(tmp_path: Path) -> None:
     steering = 0.3 * np.sin(np.arange(300) / 9)
     write_log(tmp_path / "sessions" / "s.mcap", steering.tolist(), lambda camera, row: road_jpeg(row))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from web.processes.neighbour_map import ROUNDS, groups, neighbour_map, principal
+from web.processes.neighbour_map import ROUNDS, groups, neighbour_map
 
 KINDS, EACH = 4, 60
 
@@ -42,31 +42,9 @@ def test_lonely_ones_and_doubles_stand_out() -> None:
     assert np.median(layout.nearest) == pytest.approx(1)
 
 
-@pytest.mark.parametrize("count", [1, 2, 16, 17])
-def test_a_few_things_have_places_too(count: int) -> None:
-    random = np.random.default_rng(0)
-    layout = neighbour_map(random.normal(0, 1, (count, 8)).astype(np.float32))
-    assert layout.place.shape == (count, 2)
-    assert np.isfinite(layout.place).all()
-
-
-def test_things_that_are_all_alike_have_places() -> None:
-    layout = neighbour_map(np.full((100, 8), 0.5, np.float32))
-    for values in layout:
-        assert np.isfinite(values).all()
-    assert len(groups(layout.place, 24)) == 100
-
-
 def test_groups_are_those_that_lie_together_the_largest_first() -> None:
     random = np.random.default_rng(0)
     places = [random.normal(at, 0.1, (count, 2)) for at, count in (((0, 0), 20), ((9, 0), 70), ((0, 9), 40))]
     group = groups(np.concatenate(places).astype(np.float32), 3)
     assert [set(part) for part in np.split(group, [20, 90])] == [{2}, {0}, {1}]
     assert set(groups(np.zeros((3, 2), np.float32), 24)) == {0}
-
-
-def test_principal_axes_are_those_of_a_singular_value_decomposition() -> None:
-    features, _ = blobs()
-    axes = principal(features, 5)
-    values = np.linalg.svd(features - features.mean(0), compute_uv=False)
-    assert np.linalg.norm(axes, axis=0) == pytest.approx(values[:5], rel=1e-3)

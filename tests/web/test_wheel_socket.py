@@ -123,12 +123,6 @@ def test_the_socket_needs_the_cookie_of_the_pages(bench: Served, wheel: Wheel) -
     assert wheel.pages == 0
 
 
-def test_there_is_no_socket_of_a_drive_that_does_not_run(bench: Served) -> None:
-    with pytest.raises(InvalidStatus) as refused:
-        socket(bench, "no-such-drive")
-    assert refused.value.response.status_code == 403
-
-
 def test_messages_that_are_none_do_no_harm_and_are_counted(bench: Served, wheel: Wheel) -> None:
     bad: list[str | bytes] = [
         control(9, float("nan")),
