@@ -6,7 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from common import UserError
+from common.allowed_places import AllowedPlaces, remember_places
 from common.locks import is_being_written, lock, try_lock
+from common.store_settings import store_settings
+from common.users_cache import users_cache
 from tests.helpers.driving import PATIENCE_S, environment
 
 HOLDER = """
@@ -48,3 +54,31 @@ def test_a_killed_process_holds_no_lock(tmp_path: Path) -> None:
             lock(stream)
             assert is_being_written(path)
     assert not is_being_written(path)
+
+
+def test_a_user_without_a_home_folder_names_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("HOME", "BC_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for a user that the system does not know
+    with pytest.raises(UserError, match="no home folder for the cache: set BC_CACHE"):
+        users_cache()
+    assert "region" not in store_settings("s3")
+    monkeypatch.setenv("BC_CACHE", str(tmp_path))
+    assert users_cache() == tmp_path
+
+
+def test_records_of_removed_indexes_are_forgotten(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("common.allowed_places.MAX_RECORDS", 3)
+    project, logs = tmp_path / "project", tmp_path / "logs"
+    for number in range(9):
+        index = project / f"index-{number}"
+        index.mkdir(parents=True)
+        remember_places(index, project, [logs])
+        if number:
+            index.rmdir()
+    remember_places(project, project, [logs])
+    monkeypatch.setattr("common.allowed_places._remembered", {})  # as in another process
+    assert len(list((tmp_path / "cache" / "built-here").iterdir())) == 2
+    assert logs / "a.mcap" in AllowedPlaces(project / "index-0", project)
+    assert logs / "a.mcap" not in AllowedPlaces(project / "index-1", project)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -11,7 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.pictures.whole_picture import is_whole_jpeg, whole_jpeg_size
+from recorder.pictures.picture_size import SizeReader, width_and_height
+from recorder.pictures.whole_picture import PADDING_BYTES, is_whole_jpeg, whole_jpeg_size, whole_png_size
 
 ENCODINGS: dict[str, list[int]] = {
     "baseline": [],
@@ -108,3 +112,79 @@ def of_scans(count: int) -> bytes:
     """A progressive JPEG whose last scan is there so many times more."""
     data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
     return data[:-2] + count * data[data.rindex(b"\xff\xda") : -2] + data[-2:]
+
+
+NOISE = np.random.default_rng(7).integers(0, 256, (40, 56, 4), np.uint8)
+PNG = cv2.imencode(".png", NOISE[..., :3])[1].tobytes()
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def png_of(width: int, height: int, *chunks: bytes) -> bytes:
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"".join((PNG[:8], chunk(b"IHDR", header), *chunks, chunk(b"IEND", b"")))
+
+
+@pytest.mark.parametrize("picture", [NOISE, NOISE[..., :3], NOISE[..., 0], NOISE[..., 0].astype(np.uint16) * 257])
+def test_every_kind_that_opencv_writes_is_whole(picture: np.ndarray) -> None:
+    assert whole_png_size(cv2.imencode(".png", picture)[1].tobytes()) == (56, 40)
+
+
+@given(st.integers(0, len(PNG) - 1))
+def test_what_is_cut_off_is_not_whole(length: int) -> None:
+    assert whole_png_size(PNG[:length]) is None
+
+
+@given(st.integers(0, len(PNG) - 1), st.integers(1, 255))
+def test_no_changed_byte_goes_unnoticed(at: int, change: int) -> None:
+    assert whole_png_size(PNG[:at] + bytes([PNG[at] ^ change]) + PNG[at + 1 :]) is None
+
+
+def test_padding_is_allowed_and_more_is_not() -> None:
+    assert whole_png_size(PNG + bytes(PADDING_BYTES)) == (56, 40)
+    assert whole_png_size(PNG + bytes(PADDING_BYTES + 1)) is None
+
+
+def test_impossible_picture_sizes_and_missing_chunks_are_refused() -> None:
+    data = chunk(b"IDAT", zlib.compress(bytes(7)))
+    assert whole_png_size(png_of(2, 1, data)) == (2, 1)
+    for width, height in ((0, 5), (1 << 14, 1 << 13), (2**32 - 1, 2**32 - 1)):
+        assert whole_png_size(png_of(width, height, data)) is None
+    assert whole_png_size(png_of(2, 1)) is None
+    assert whole_png_size(PNG[:8] + data + chunk(b"IEND", b"")) is None
+
+
+SIZES = [(320, 160), (160, 320), (321, 160), (8, 2000)]
+
+
+def picture(width: int, height: int, ending: str, *options: int) -> bytes:
+    noise = np.random.default_rng(width).integers(0, 255, (height, width, 3)).astype(np.uint8)
+    ok, data = cv2.imencode(ending, noise, options)
+    assert ok
+    return data.tobytes()
+
+
+ENCODED = {
+    **{f"{ending} {size}": picture(*size, ending) for size, ending in product(SIZES, (".jpg", ".png"))},
+    "own tables": picture(320, 160, ".jpg", cv2.IMWRITE_JPEG_OPTIMIZE, 1),
+    "progressive": picture(320, 160, ".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    "quality": picture(64, 48, ".jpg", cv2.IMWRITE_JPEG_QUALITY, 30),
+}
+
+
+@pytest.mark.parametrize("data", ENCODED.values(), ids=ENCODED)
+def test_it_is_that_of_the_picture_when_it_is_decoded(data: bytes) -> None:
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    height, width, _ = decoded.shape
+    assert width_and_height(data) == (width, height)
+
+
+def test_a_reader_of_many_gives_the_same_in_whatever_order_they_come() -> None:
+    others = [b"", b"no picture", *(data[:20] for data in ENCODED.values())]
+    for first, second in product([*ENCODED.values(), *others], repeat=2):
+        reader = SizeReader()
+        for data in (first, second, first, second):
+            assert reader.width_and_height(data) == width_and_height(data)

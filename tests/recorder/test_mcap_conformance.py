@@ -2,19 +2,44 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType
 
-from recorder import Log
+from recorder import Log, LogWriter
+from recorder.bc_pb2 import Prediction
 from recorder.log_cli import main
+from recorder.topics import LIBRARY
 from recorder.upkeep.check import check
+from recorder.upkeep.edit import merge, split, trim
 from recorder.upkeep.recover import recover
-from tests.helpers.mcap_conformance import DATA, INPUTS, Input, variants
-from tests.helpers.udacity import call
+from tests.helpers.layouts import write_as_before
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.mcap_conformance import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    INPUTS,
+    MAGIC,
+    MESSAGE,
+    STATISTICS,
+    Input,
+    variants,
+)
+from tests.helpers.mcap_rules import broken_rules
+from tests.helpers.plain_mcap import write_plain
+from tests.helpers.udacity import call, jpeg
 
 Held = tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]
 
@@ -107,3 +132,170 @@ def test_what_is_read_can_be_recovered_and_what_is_cut_off_is_still_named(featur
             assert log.problem
         assert call(main, "check", cut_off) == 3
     assert read_from(cut_off)[:3] == given_in(given)[:3]
+
+
+ADDED: Final = b"\1\xff\xff"
+PRIVATE: Final = 0x80
+TIMES_NS: Final = [1, 2, 3]
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def file(
+    *,
+    is_chunked: bool,
+    has_summary: bool,
+    after_chunk: bytes = b"",
+    after_end: bytes = b"",
+    other: bytes = b"",
+    data_crc: bool = True,
+    library: str = "",
+) -> bytes:
+    """Three messages on /n. `after_chunk` and `after_end` end the chunk and the record DataEnd, `other` is between
+    records."""
+    channel = record(CHANNEL, struct.pack("<HH", 1, 0) + text("/n") + text("json") + bytes(4))
+    messages = [record(MESSAGE, struct.pack("<HIQQ", 1, ns, ns, ns) + b"{}") for ns in TIMES_NS]
+    data = MAGIC + record(HEADER, text("") + text(library)) + other
+    summary = channel + record(STATISTICS, struct.pack("<QHIIIIQQIHQ", 3, 0, 1, 0, 0, is_chunked, 1, 3, 10, 1, 3))
+    if is_chunked:
+        inner = channel + other + b"".join(messages)
+        head = struct.pack("<QQQI", 1, 3, len(inner), zlib.crc32(inner)) + text("")
+        chunk = record(CHUNK, head + struct.pack("<Q", len(inner)) + inner + after_chunk)
+        place = struct.pack("<QQQQIQ", 1, 3, len(data), len(chunk), 0, 0)
+        summary += record(CHUNK_INDEX, place + text("") + struct.pack("<QQ", len(inner), len(inner)))
+        data += chunk + other
+    else:
+        data += other.join([channel, *messages, b""])
+    data += record(DATA_END, struct.pack("<I", zlib.crc32(data) if data_crc else 0) + after_end)
+    if not has_summary:
+        summary = b""
+    footer = record(FOOTER, struct.pack("<QQI", len(data) if has_summary else 0, 0, 0))[:-4]
+    return data + summary + footer + struct.pack("<I", zlib.crc32(summary + footer)) + MAGIC
+
+
+@pytest.mark.parametrize("has_summary", [True, False])
+@pytest.mark.parametrize("is_chunked", [True, False])
+@pytest.mark.parametrize(
+    "added",
+    [
+        {"after_chunk": ADDED},
+        {"after_end": ADDED},
+        {"after_end": ADDED * 100},
+        {"other": record(PRIVATE, ADDED)},
+        {"other": record(0x10, b"") + record(0xFF, ADDED * 100)},
+    ],
+    ids=["chunk", "data end", "long data end", "private record", "unknown records"],
+)
+def test_what_mcap_lets_others_add_is_passed_over(
+    added: dict[str, bytes], is_chunked: bool, has_summary: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(file(is_chunked=is_chunked, has_summary=has_summary, **added))  # type: ignore[arg-type]
+    with path.open("rb") as stream:
+        assert list(StreamReader(stream, validate_crcs=True).records)  # mcap's own reader takes it
+    with Log(path) as log:
+        assert (log.notice, log.lost, log.counts) == ("", [], {"/n": 3})
+        assert [message.log_time_ns for message in log.messages("/n")] == TIMES_NS
+        assert [content for _, content in log.contents("/n")] == [b"{}"] * 3
+    assert call(main, "check", path) == 0
+
+
+def test_our_own_logs_have_no_other_records(tmp_path: Path) -> None:
+    """There, an unknown record is damage."""
+    path = tmp_path / "a.mcap"
+    path.write_bytes(file(is_chunked=True, has_summary=False, other=record(PRIVATE, ADDED), library=LIBRARY))
+    assert check(path).is_damaged
+
+
+ROWS = 40
+FOOTER_BYTES = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
+
+
+def session(path: Path, rows: int = ROWS) -> Path:
+    return write_log(path, [row / rows for row in range(rows)], lambda _, row: jpeg(100, row) + 5000 * b" ")
+
+
+def test_sessions_in_both_layouts(tmp_path: Path) -> None:
+    path = session(tmp_path / "session.mcap")
+    assert broken_rules(path) == []
+    assert broken_rules(write_as_before(path, tmp_path / "before.mcap")) == []
+
+
+def test_a_live_log_with_two_drives_and_logs_made_of_it(tmp_path: Path) -> None:
+    live = tmp_path / "live.mcap"
+    with LogWriter(live, {"source": "test"}, live=True) as writer:
+        writer.event(START_NS, "begin")
+        for row in range(ROWS):
+            writer.picture("center", START_NS + row * STEP_NS + (row > 20) * 10**10, row, jpeg(row))
+            writer.event(START_NS + row * STEP_NS + (row > 20) * 10**10, f"at row {row}")
+        writer.event(START_NS + 10**11, "end")
+    recorded = session(tmp_path / "session.mcap")
+    cut_off = tmp_path / "cut off.mcap"
+    cut_off.write_bytes(recorded.read_bytes()[: recorded.stat().st_size // 2])
+    made = [live, recover(cut_off, tmp_path / "recovered.mcap").path, tmp_path / "trimmed.mcap"]
+    trim(recorded, made[2], (3, 30))
+    made += [merge([recorded, recorded], tmp_path / "merged.mcap").path]
+    made += [written.path for written in split(made[3], tmp_path)]
+    assert {path.name: broken_rules(path) for path in made} == {path.name: [] for path in made}
+
+
+def test_a_log_without_pictures(tmp_path: Path) -> None:
+    path = tmp_path / "predictions.mcap"
+    with LogWriter(path, {"source": "prediction"}) as writer:
+        for row in range(ROWS):
+            writer.prediction("pilot", START_NS + row, row, Prediction(steering=0.5))
+    assert broken_rules(path) == []
+
+
+def test_a_copy_of_another_programs_log(tmp_path: Path) -> None:
+    other = write_plain(tmp_path / "other.mcap", CompressionType.ZSTD, range(ROWS))
+    assert broken_rules(recover(other, tmp_path / "copy.mcap").path) == []
+
+
+def mended(data: bytearray) -> bytes:
+    """With CRCs of the data section and of the summary that hold."""
+    at = len(data) - 8 - FOOTER_BYTES.size
+    _, _, start, _, _ = FOOTER_BYTES.unpack_from(data, at)
+    data[start - 4 : start] = struct.pack("<I", zlib.crc32(data[: start - 13]))
+    data[at + FOOTER_BYTES.size - 4 : at + FOOTER_BYTES.size] = struct.pack(
+        "<I", zlib.crc32(data[start : at + FOOTER_BYTES.size - 4])
+    )
+    return bytes(data)
+
+
+def of_no_rule(data: bytes) -> set[int]:
+    """Places of bytes that may be anything: what the header and metadata say; and in chunks, whose CRCs tell."""
+    places, position = set[int](), 8
+    while position < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        end = position + 9 + length
+        if opcode in (Opcode.HEADER, Opcode.METADATA):
+            places |= set(range(position + 9, end))
+        elif opcode == Opcode.CHUNK:
+            places |= set(range(position + 49, end))
+        position = end
+    return places
+
+
+@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.long)])
+def test_the_rules_are_about_every_byte_but_those_of_free_text(tmp_path: Path, every: int) -> None:
+    """Whatever bit is another one, also where no CRC tells it, breaks a rule."""
+    path, forged = write_log(tmp_path / "session.mcap", [0.0, 0.5]), tmp_path / "forged.mcap"
+    data = path.read_bytes()
+    assert mended(bytearray(data)) == data
+    summary_start = FOOTER_BYTES.unpack_from(data, len(data) - 8 - FOOTER_BYTES.size)[2]
+    crcs = {*range(summary_start - 4, summary_start), *range(len(data) - 12, len(data) - 8)}
+    unnoticed = []
+    for at in sorted({*range(0, len(data), every)} - of_no_rule(data)):
+        changed = bytearray(data)
+        changed[at] ^= 1 << at % 8
+        forged.write_bytes(changed if at in crcs else mended(changed))
+        if not broken_rules(forged):
+            unnoticed.append(at)
+    assert unnoticed == []
