@@ -119,15 +119,6 @@ def test_a_room_imports_and_starts_only_those_under_it() -> None:
     assert upwards == []
 
 
-def test_what_is_started_by_name_is_found(tmp_path: Path) -> None:
-    source = tmp_path / "source.py"
-    source.write_text(
-        'home = "viz.cli"\nimport_module("model")\nrun([python, "-P", "-m", "drive", "x"])\nkey = "model"\n'
-    )
-    assert sorted(started(source)) == [(1, "viz.cli"), (2, "model"), (3, "drive")]
-    assert {name for _, name in started(ROOT / "behavioural_cloning_toolkit.py")} >= {"viz.cli", "drive.demo"}
-
-
 def test_the_folders_of_a_room_import_only_those_before_them() -> None:
     upwards = []
     for path in SOURCES:
@@ -196,16 +187,6 @@ def test_names_are_the_words_of_the_field() -> None:
     examples = sorted((ROOT / "examples").glob("*.py"))
     code = [*SOURCES, ROOT / "behavioural_cloning_toolkit.py", *examples]
     assert [f"{path}:{line} {name}" for path in code for line, name in named(path) if is_riddle(name)] == []
-
-
-def test_riddles_among_names_are_found(tmp_path: Path) -> None:
-    source = tmp_path / "told.py"
-    source.write_text(
-        "class Seen:\n    is_told = True\n\n\ndef tells(who_asks):\n    self._SAID = seen = stream.tell()\n"
-        "    told_by = foretold = stream\n"
-    )
-    riddles = [name for _, name in named(source) if is_riddle(name)]
-    assert sorted(riddles) == ["Seen", "_SAID", "is_told", "tells", "told", "told_by", "who_asks"]
 
 
 def test_no_room_imports_tests_benchmarks_or_studies() -> None:

@@ -17,9 +17,7 @@ from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
 from dataset.frames.frames_table import frames_table
-from dataset.index.leaks import find_leaks
-from recorder import Log, LogError, LogWriter
-from recorder.bc_pb2 import VehicleState
+from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from tests.helpers.driving import Process
 from tests.helpers.logs import write_log, write_session
@@ -220,20 +218,3 @@ def test_a_split_without_samples_is_said(cwd: Path, capsys: pytest.CaptureFixtur
 
 
 # The split and shared pictures
-
-
-def test_a_clock_that_is_set_back_opens_no_gap_in_the_gap(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    time_ns = 10**18
-    with LogWriter(path, {}) as writer:
-        for row in range(400):
-            time_ns += -1_000_000 if row % 50 == 49 else 100_000_000
-            writer.picture("center", time_ns, row, f"{row}".encode())
-            writer.vehicle(time_ns, row, VehicleState(steering=0.1, speed_mph=9))
-    indexed = build_index([path], tmp_path / "index", IndexConfig(block_s=3.0))
-    by_split: dict[str, list[int]] = {"train": [], "validation": []}
-    for sample in indexed.samples.to_pylist():
-        by_split[sample["split"]].append(sample["row"])
-    nearest = min(abs(row - held_out) for row in by_split["train"] for held_out in by_split["validation"])
-    assert nearest > 10  # rows, a tenth of a second each
-    assert find_leaks(indexed.path) == []

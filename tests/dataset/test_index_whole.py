@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
-import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -304,35 +303,6 @@ def test_a_build_that_is_killed_leaves_one_index_and_the_next_one_ends_it(
             shutil.rmtree(refused)
         build_index(logs, killed)
         assert files_of(killed) == new
-
-
-@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.long)])
-def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
-    tmp_path: Path, moments: Moments, every: int
-) -> None:
-    logs, before, old, new = changed_sessions(tmp_path)
-    contents = []
-    for number in itertools.count(0, every):
-        index = shutil.copytree(before, tmp_path / f"index{number}")
-        countdown = itertools.count(-number)
-
-        def stop(countdown: Iterator[int] = countdown) -> None:
-            if next(countdown) == 0:
-                signal.raise_signal(signal.SIGINT)
-
-        moments.call_at_each(index, stop)
-        try:
-            build_index(logs, index)
-            is_stopped = False
-        except KeyboardInterrupt:
-            is_stopped = True
-        moments.over()
-        contents.append(files_of(index))
-        assert contents[-1] in (old, new)
-        if not is_stopped:
-            break
-    assert old in contents
-    assert len(contents) * every > 20
 
 
 def test_a_refused_build_leaves_nothing(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -147,24 +146,6 @@ def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float
     assert summary.autonomy_percent == pytest.approx(100 * (1 - 6 / 60.5))
     assert summary.laps is None
     assert "this simulator does not report when the car leaves the road" in " ".join(summary_lines(summary))
-
-
-def test_a_pause_counts_by_no_clock_but_the_simulators() -> None:
-    """In its menu for a minute: the first telemetry after it tells a time, but the last one before it did not."""
-    summary = DriveSummary()
-    for now_s, world in ((0.0, None), (0.5, None), (60.0, World(time_s=1.0)), (60.1, World(time_s=1.5))):
-        summary.decision(decided(world=world), 2.0, now_s)
-    assert summary.elapsed_s == pytest.approx(1.0)
-
-
-def test_laps_and_interventions_may_be_told_without_each_other() -> None:
-    laps, put_back = DriveSummary(), DriveSummary()
-    for i in range(3):
-        laps.decision(decided(world=World(laps=i / 2)), 2.0, now_s=i / 10)
-        put_back.decision(decided(world=World(interventions=i)), 2.0, now_s=i / 10)
-    assert (laps.laps, laps.put_back) == (1.0, 0)
-    assert (put_back.laps, put_back.put_back) == (None, 2)
-    assert "unknown whether" not in " ".join(summary_lines(put_back))
 
 
 def test_a_lap_of_the_expert_is_what_the_simulators_own_book_says() -> None:
@@ -346,43 +327,3 @@ def test_the_live_line_tells_what_cannot_be_used() -> None:
     assert lines[39] == "10.0 mph, steer +0.03, 20 Hz, 2.0 ms, 0.0 s ago"
     assert lines[78] == "10.0 mph, steer +0.03, 20 Hz, 5 bad, 0.0 s ago"
     assert lines[159] == "20 Hz, none of it usable, 0.0 s ago"
-
-
-@given(
-    st.lists(st.tuples(st.floats(allow_nan=False), st.floats(0, 1e9), st.floats(0, 1e9), st.integers(0, 10**9)))
-)
-def test_whatever_a_simulator_tells_there_is_a_summary(received: list[tuple[float, float, float, int]]) -> None:
-    summary = DriveSummary()
-    for speed_mph, time_s, laps, interventions in received:
-        world = replace(WORLD, time_s=time_s, laps=laps, interventions=interventions)
-        if abs(speed_mph) < sys.float_info.max:  # a telemetry's numbers are finite
-            summary.decision(decided(speed_mph, world if time_s > 1 else None), 2.0, now_s=time_s)
-        assert summary.autonomy_percent is None or 0.0 <= summary.autonomy_percent <= 100.0
-    assert summary_lines(summary)
-    assert summary.as_metadata()
-    LiveStatus(summary).line(0.0)
-
-
-def test_a_long_drive_takes_no_more_memory_than_a_minute() -> None:
-    def size(thing: object, seen: set[int]) -> int:
-        """Bytes of an object and everything that it holds."""
-        if id(thing) in seen or isinstance(thing, type):
-            return 0
-        seen.add(id(thing))
-        held = [*vars(thing).values()] if hasattr(thing, "__dict__") else []
-        if isinstance(thing, dict):
-            held += [*thing.keys(), *thing.values()]
-        elif not isinstance(thing, str) and hasattr(thing, "__iter__"):
-            held += list(thing)
-        return sys.getsizeof(thing) + sum(size(part, seen) for part in held)
-
-    summary = DriveSummary()
-    status = LiveStatus(summary)
-    sizes = []
-    for i in range(20_000):
-        summary.decision(decided(), 1.0 + i % 50, now_s=i / 50)
-        if i % 5 == 0:
-            status.line(i / 50)
-        if i in (3_000, 19_999):
-            sizes.append(size(status, set()))
-    assert sizes[1] < sizes[0] * 1.1

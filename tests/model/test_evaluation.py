@@ -219,24 +219,6 @@ def test_the_table_says_how_late_a_person_steers(
     assert re.findall(r"^(\S+) s later +1\.00 ", capsys.readouterr().out, re.MULTILINE) == shown
 
 
-def test_a_smooth_driver_has_no_reaction_time(cwd: Path, tmp_path: Path) -> None:
-    """In bends, the steering is alike at many delays."""
-    bends = [0.5 * math.sin(row / 20) for row in range(650)]
-    pictures = [road("center", row) for row in range(len(STEERING))]
-    log = write_log(
-        tmp_path / "smooth.mcap",
-        bends,
-        lambda camera, row: pictures[row % len(pictures)],
-        cameras=["center"],
-        step_ns=100_000_000,
-    )
-    measured = evaluate_sessions("runs/toy", [log])
-    earlier = pa.array(np.roll(measured.frames["recorded"].to_numpy(), -3))
-    late = replace(measured, frames=measured.frames.drop(["predicted"]).append_column("predicted", earlier))
-    assert late.reaction_time is None
-    assert replace(late, hands={}).reaction_time is not None
-
-
 def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "toy", "--json", "--worst", 2) == 0
     told = capsys.readouterr()

@@ -206,28 +206,6 @@ def test_recovering_gives_it_no_new_crc(whole: Path, forged: Path, damaged: str,
     assert contents(written.path).by_topic == by_topic(kept)
 
 
-def test_the_summary_and_attachments_have_one_too(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
-    data = bytearray(path.read_bytes())
-    data[-12:-8] = bytes(4)  # of the summary, before the magic bytes
-    data[data.rindex(b"/camera/right") + 8] ^= 1
-    path.write_bytes(data)
-    with Log(path) as log:
-        assert "damaged" in log.problem
-        assert {channel.topic for channel in log.channels.values()} >= {"/camera/right"}
-
-    other = write_mcap(tmp_path / "other.mcap", DRIVE)
-    with_note = tmp_path / "note.mcap"
-    add_attachment(other, b"hello")
-    recover(other, with_note)
-    note = bytearray(with_note.read_bytes())
-    at = note.index(b"hello")
-    note[at], note[at + 5 : at + 9] = ord("j"), bytes(4)
-    with_note.write_bytes(note)
-    with Log(with_note) as log, pytest.raises(LogError, match="CRC"):
-        log.attachment(log.attachments[0])
-
-
 def without_data_crc(path: Path) -> Path:
     data = bytearray(path.read_bytes())
     (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
@@ -260,14 +238,6 @@ def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) 
             writer.add_message(state, row * 10**8, data, row * 10**8, row)
     assert check(path).findings == []
     assert is_whole(path)
-
-
-def add_attachment(path: Path, content: bytes) -> None:
-    """Before the end of the data, of which this file's writer keeps no CRC; the end itself then makes no sense."""
-    data = path.read_bytes()
-    end = data.index(struct.pack("<BQI", 15, 4, 0))
-    body = struct.pack("<QQIIQ", 1, 1, 0, 0, len(content)) + content
-    path.write_bytes(data[:end] + struct.pack("<BQ", 9, len(body) + 4) + body + bytes(4) + data[end:])
 
 
 # Other programs' logs

@@ -56,12 +56,6 @@ def test_line_ends_and_no_final_one(tmp_path: Path, end: str) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(end=end).removesuffix(end)))
 
 
-def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
-    one, two, three = (paths(i, separator=separator) for i, separator in enumerate([",", ", ", ","]))
-    csv = f"{one},{CELLS[0]}\r\n{two}, {CELLS[1].replace(',', ', ')}\n{three}, {CELLS[2]}\r"
-    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
-
-
 @pytest.mark.parametrize("separator", [";", "\t", " ; "], ids=["semicolon", "tab", "spaces"])
 def test_a_csv_that_a_spreadsheet_has_saved(tmp_path: Path, separator: str) -> None:
     """In countries with decimal commas, Excel separates with semicolons."""
@@ -184,13 +178,6 @@ def test_a_row_with_a_value_too_many_is_named(tmp_path: Path, cells: str) -> Non
     else:
         assert values_of(done.path) == [VALUES[0], VALUES[2]]
         assert done.skipped.counts == {"rows with more than four values": 1}
-
-
-def test_decimal_commas_behind_a_drive_with_decimal_points(tmp_path: Path) -> None:
-    """Somebody has put another country's recording behind a downloaded one."""
-    cells = ["0,1,0,7.8E-05", "-0,05,1,0,12,25", "0,1,0,12,5"]
-    make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
-    assert values_of(imported(tmp_path).path) == [(0, 1, 0, 7.8e-05), (-0.05, 1, 0, 12.25), (0, 1, 0, 12.5)]
 
 
 def test_missing_pictures_are_named_and_everything_else_is_kept(tmp_path: Path) -> None:

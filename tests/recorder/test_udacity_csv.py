@@ -177,22 +177,6 @@ def test_any_bytes_give_a_recording_or_a_clear_error(folder: Path, csv: bytes) -
     assert len(recording.rows) + rows_skipped(recording) == count_rows(lines)
 
 
-@given(st.text(st.characters(exclude_characters='/\\,"\0\r\n', exclude_categories=["Cs"]), max_size=20))
-def test_any_name_of_a_picture_is_found(folder: Path, prefix: str) -> None:
-    """Spaces, accents, emoji: what the file system has is what the row says."""
-    name = f"x{prefix}_2024_07_13_14_30_16_000.jpg"
-    if len(name.encode()) > 250:
-        return
-    path = folder / "IMG" / name
-    path.touch()
-    try:
-        recording = read(folder, f"C:\\IMG\\{name},IMG/left.jpg, right.jpg,0,0,0,1\n".encode())
-        assert tuple(recording.rows[0].pictures.values()) == (name, "left.jpg", "right.jpg")
-        assert recording.pictures[name] == str(path.resolve())
-    finally:
-        path.unlink()
-
-
 def test_lines_are_given_once_each_when_they_have_their_end(tmp_path: Path) -> None:
     csv = tmp_path / "driving_log.csv"
     tail = CsvTail(csv)
