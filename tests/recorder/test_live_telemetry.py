@@ -32,7 +32,7 @@ from tests.helpers.driving import PATIENCE_S, Process, road_jpeg
 from tests.helpers.logs import START_NS, read_messages
 from tests.helpers.serving import ModernClient, RawClient
 
-# `bc-record --listen` without its flags: the log, the port, and where given the seconds of waiting.
+# `bc-record listen` without its flags: the log, the port, and where given the seconds of waiting.
 LISTEN = """
 import sys
 from dataclasses import dataclass

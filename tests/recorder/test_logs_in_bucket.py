@@ -555,8 +555,8 @@ def test_a_recording_is_copied_when_it_is_finished(bucket: Bucket, tmp_path: Pat
 
 
 def test_all_logs_of_a_recording_are_copied(bucket: Bucket, tmp_path: Path) -> None:
-    flags = ("--listen", "--port", 0, "--copy-to", "s3://logs/sessions")
-    with Process(command("bc-record", "now", *flags), tmp_path) as process:
+    flags = ("--port", 0, "--copy-to", "s3://logs/sessions")
+    with Process(command("bc-record", "listen", "now", *flags), tmp_path) as process:
         port = int(process.wait_for(r"waiting for a simulator on 127\.0\.0\.1:(\d+)$")[1])
         clients = [RawClient(port), RawClient(port)]
         for number, client in enumerate(clients):
