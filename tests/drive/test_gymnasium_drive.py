@@ -51,7 +51,7 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
     with Log("d.mcap") as log:
         driven = log.vehicle()["steering"].to_pylist()
         episodes = json.loads(log.read_metadata("bc.gymnasium")["episodes"])
-        assert log.metadata["simulator"] == "toy_environment:toy/Bar-v0"
+        assert log.metadata["simulator"] == "tests.helpers.toy_environment:toy/Bar-v0"
         events = Counter(event.message for _, event in log.decoded("/events"))
     assert len(sent) == 2 * STEPS
     assert events["pictures of 64x48 pixels, not 320x160: used nevertheless"] == 1
@@ -84,7 +84,7 @@ def test_a_drive_is_copied_to_a_store_when_it_is_finished(
 
 
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
-    line = [*bar(args=SHORT), *UNSEEN, "--expert", "toy_environment:centre", "--log", "d.mcap"]
+    line = [*bar(args=SHORT), *UNSEEN, "--expert", "tests.helpers.toy_environment:centre", "--log", "d.mcap"]
     assert call(bc_drive, "first", *line) == 0
     sent = commands("d.mcap")
     assert {command.throttle for command in sent} == {0.25}

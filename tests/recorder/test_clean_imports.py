@@ -145,7 +145,7 @@ def test_times_in_another_unit_are_asked_about_and_the_flag_mends_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_as: Make, unit: str, factor: float
 ) -> None:
     """A csv says seconds and has milliseconds; a log says nanoseconds and has micro- or milliseconds."""
-    monkeypatch.setattr("other_logs.START_NS", 0)
+    monkeypatch.setattr("tests.helpers.other_logs.START_NS", 0)
     per_unit = factor if made_as is as_csv else factor / 1e9
     rows = [(time_s * per_unit, steering, picture) for time_s, steering, picture in ROWS]
     asked = imported(made_as(tmp_path / "a", rows))

@@ -248,9 +248,11 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     )
     export_lerobot([path["udacity"]], folder / "dataset")
     import_recording(folder / "dataset", path["lerobot"])
-    settings = 'id = "toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
+    settings = (
+        'id = "tests.helpers.toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
+    )
     (folder / "bar.toml").write_text(settings)
-    bar = GymFlags(str(folder / "bar.toml"), expert="toy_environment:centre")
+    bar = GymFlags(str(folder / "bar.toml"), expert="tests.helpers.toy_environment:centre")
     record_gymnasium(GymRecording(bar), path["gym"])
 
     evaluated = run(
