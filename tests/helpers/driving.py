@@ -84,14 +84,15 @@ def run(
 ) -> subprocess.CompletedProcess[str]:
     """Run a command in this process; its exit code and output."""
     main = importlib.import_module(COMMANDS[name]).main
-    stdout, stderr = io.StringIO(), io.StringIO()
+    stdout, stderr = (io.TextIOWrapper(io.BytesIO(), "utf-8", newline="", write_through=True) for _ in range(2))
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(stdout), redirect_stderr(stderr):
         patch.setenv("COLUMNS", str(columns))
         patch.setenv("NO_COLOR", "1")
         if cwd is not None:
             patch.chdir(cwd)
         code = call(main, *arguments)
-    return subprocess.CompletedProcess([name, *map(str, arguments)], code, stdout.getvalue(), stderr.getvalue())
+    texts = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))  # type: ignore[attr-defined]
+    return subprocess.CompletedProcess([name, *map(str, arguments)], code, *texts)
 
 
 def run_alone(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
