@@ -43,7 +43,7 @@ def pilot_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def display(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes have a display."""
     with_a_display = {**environment(), "DISPLAY": ":77"}
-    monkeypatch.setattr("driving.environment", lambda: with_a_display)
+    monkeypatch.setattr("tests.helpers.driving.environment", lambda: with_a_display)
 
 
 def drive(process: Process) -> None:

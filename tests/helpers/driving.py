@@ -91,7 +91,7 @@ def run(
         if cwd is not None:
             patch.chdir(cwd)
         code = call(main, *arguments)
-    texts = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))  # type: ignore[attr-defined]
+    texts = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
     return subprocess.CompletedProcess([name, *map(str, arguments)], code, *texts)
 
 
