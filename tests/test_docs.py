@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 
 import make_architecture
 import make_commands
-from tests.helpers.driving import COMMANDS, run
+from tests.helpers.driving import COMMANDS, command, environment
 from tests.helpers.repository import ROOT
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), ROOT / "benchmarks" / "README.md"]
@@ -30,7 +30,9 @@ def helps() -> dict[str, str]:
 
     def help_of(name: str) -> str:
         command_name, *subcommand = name.split()
-        done = run(command_name, *subcommand, "--help-all", columns=make_commands.COLUMNS)
+        line = command(command_name, *subcommand, "--help-all")  # in a process: tyro keeps what it has parsed
+        columns = {"COLUMNS": str(make_commands.COLUMNS)}
+        done = subprocess.run(line, env=environment() | columns, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

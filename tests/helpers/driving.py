@@ -79,14 +79,12 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1", "COLUMNS": "400", "NO_COLOR": "1"}
 
 
-def run(
-    name: str, *arguments: object, cwd: Path | None = None, columns: int = 400
-) -> subprocess.CompletedProcess[str]:
+def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a command in this process; its exit code and output."""
     main = importlib.import_module(COMMANDS[name]).main
     stdout, stderr = (io.TextIOWrapper(io.BytesIO(), "utf-8", newline="", write_through=True) for _ in range(2))
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(stdout), redirect_stderr(stderr):
-        patch.setenv("COLUMNS", str(columns))
+        patch.setenv("COLUMNS", "400")
         patch.setenv("NO_COLOR", "1")
         if cwd is not None:
             patch.chdir(cwd)
