@@ -16,7 +16,7 @@ from recorder.log_cli import main as bc_log
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
-from udacity import call
+from tests.helpers.udacity import call
 
 START_NS = 1_767_225_600 * 10**9
 RATE_HZ = 10

@@ -11,14 +11,14 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from test_rooms import MAY_IMPORT
 
 import behavioural_cloning_toolkit
 from common.interrupts import STOP_SIGNALS
-from driving import COMMANDS, PATIENCE_S, environment, run_code
-from logs import write_log
-from repository import ROOT
-from udacity import call
+from tests.helpers.driving import COMMANDS, PATIENCE_S, environment, run_code
+from tests.helpers.logs import write_log
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call
+from tests.test_rooms import MAY_IMPORT
 
 # Each import of a command's is followed by a signal, at the point that is counted up to on the command line.
 INTERRUPTED_IMPORT = """

@@ -8,13 +8,13 @@ import pytest
 
 from dataset.cli import main as bc_index
 from drive.doctor_cli import main as bc_doctor
-from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.cli import main as bc_sim
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.udacity import call
 from viz.cli import main as bc_play
 
 TRIM = ("trim", "a.mcap", "--to", "b.mcap")

@@ -18,17 +18,17 @@ import torch
 from rich.table import Table
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
-from test_rooms import MAY_IMPORT
 
 from common.output import ask, print_message, print_result, print_table, shell_command
 from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import command, environment, started_to
-from logs import write_log
 from model.cli import main as bc_train
-from repository import ROOT
-from toy import road, toy_index
-from udacity import call
+from tests.helpers.driving import command, environment
+from tests.helpers.logs import write_log
+from tests.helpers.repository import ROOT
+from tests.helpers.toy import road, toy_index
+from tests.helpers.udacity import call
+from tests.test_rooms import MAY_IMPORT
 from viz.cli import main as bc_play
 
 EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\nbc-log: all is well\r\u202eb"
@@ -141,7 +141,7 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
     shown, terminal = pty.openpty()
     colours = {**environment(), "TERM": "xterm"}
     colours.pop("NO_COLOR")
-    process = started_to(stdout or terminal, terminal, line, cwd, colours)
+    process = subprocess.Popen(line, cwd=cwd, env=colours, stdout=stdout or terminal, stderr=terminal)
     os.close(terminal)
     said = b""
     try:

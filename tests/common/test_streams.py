@@ -15,7 +15,11 @@ from typing import BinaryIO
 
 import pytest
 
-from driving import (
+from model.runs.run_folder import find_run
+from recorder import Log
+from simulator.protocol.client import SimulatorClient
+from simulator.protocol.replay import replay
+from tests.helpers.driving import (
     PATIENCE_S,
     PATIENT,
     command,
@@ -23,17 +27,11 @@ from driving import (
     environment,
     road_jpeg,
     run,
-    started_to,
     untrained_run,
 )
-from forked import Forked
-from model.runs.run_folder import find_run
-from ports import free_ports
-from recorder import Log
-from simulator.protocol.client import SimulatorClient
-from simulator.protocol.replay import replay
-from toy import toy_index
-from udacity import make_recording, paths
+from tests.helpers.ports import free_ports
+from tests.helpers.toy import toy_index
+from tests.helpers.udacity import make_recording, paths
 
 if sys.platform == "win32":
     pytest.skip("pipes and terminals as Unix has them", allow_module_level=True)
@@ -120,11 +118,11 @@ READERS = [Head, Stuck, StoppedTerminal, ClosedTerminal]
 @contextmanager
 def read_by(
     kind: Callable[[], Reader], line: list[str], cwd: Path | None = None, results: BinaryIO | None = None
-) -> Iterator[Forked | subprocess.Popen[bytes]]:
+) -> Iterator[subprocess.Popen[bytes]]:
     """A command that has begun, with what it says going to such a reader; its results, to a file that is given."""
     reader = kind()
     out = results.fileno() if results else reader.write
-    process = started_to(out, reader.write, line, cwd, loads_pytorch=True)
+    process = subprocess.Popen(line, cwd=cwd, env=environment(), stdout=out, stderr=reader.write)
     try:
         reader.begin()
         yield process

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +13,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket
-from bytes_read import count_bytes, note_reads
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.index.build_state import stat_of
 from dataset.samples.samples_format import not_learnt_in
-from logs import write_log
-from panorama import hand, of_size, pressed, views, write_drive
 from recorder import Log
-from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.logs import write_log
+from tests.helpers.panorama import hand, of_size, pressed, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 650  # of 65 s
 NO_PICTURES = [f"{row}".encode() for row in range(ROWS)]
@@ -261,31 +259,3 @@ def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: p
         assert "keyboard keys 50% 65 x 0.5 s 10.0" in said
         for word in ("mean of 0.5 s", "is 0.4 s late", "+0.30 ±0.05", "too short to tell", "is left right?"):
             assert word in said
-
-
-def test_nothing_comes_out_of_no_steering(tmp_path: Path) -> None:
-    """Of sessions that nobody steered, or in another scale, what is recorded is learnt, or nothing is."""
-    wheels: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "never": np.zeros_like,
-        "constant": lambda at_s: np.full_like(at_s, 0.25),
-        "tiny": lambda at_s: hand(at_s) / 100,
-        "degrees": lambda at_s: 25 * hand(at_s),
-    }
-    logs = [
-        write_drive(tmp_path / f"{name}.mcap", [f"{name} {row}".encode() for row in range(ROWS)], wheel)
-        for name, wheel in wheels.items()
-    ]
-    index = indexed(tmp_path, *logs)
-    label, recorded = label_and_recorded(index)
-    assert label.tolist() == recorded.tolist()
-    kinds = {name: labels["habits"]["kind"] for name, labels in metadata(index)["labels"].items()}
-    assert kinds == {"never": "none", "constant": "constant", "tiny": "other scale", "degrees": "other scale"}
-
-
-def test_a_tagged_crash_stays_out_as_before(tmp_path: Path) -> None:
-    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys, crashing)
-    with Log(log) as opened:
-        add_tags(log, opened.fingerprint, [Tag(300, 320, "exclude")])
-    counts = indexed(tmp_path, log, validation_share=0.0).counts["a"]
-    assert counts.excluded == 21
-    assert 59 < counts.not_driven < 59 + 40

@@ -10,9 +10,9 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket
 from dataset import DatasetError, Samples, load
-from toy import toy_index
+from tests.helpers.bucket import Bucket
+from tests.helpers.toy import toy_index
 
 pytestmark = pytest.mark.usefixtures("project")
 

@@ -23,9 +23,9 @@ from dataset.alterations import ALTERATIONS, alter
 from dataset.config import EPOCH_ALTERATIONS
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from logs import write_log
 from model.training.batches import KeptBatches, StreamedBatches, make_batches, needed_bytes
-from udacity import scene
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import scene
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
@@ -88,35 +88,7 @@ def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path) -> None
                 assert (pixels(pictures) == batch.pictures).all()
 
 
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_batch_is_its_own_and_stays_what_it_is(
-    index: Path, make: Callable[[Loader, torch.device], Batches]
-) -> None:
-    with load(index, batch=BATCH) as loader:
-        batches = make(loader, CPU)
-        kept = [pictures for pictures, _ in batches.epoch(1)]
-        before = [pixels(pictures).tobytes() for pictures in kept]
-        for pictures, _ in batches.epoch(2):
-            pictures.zero_()
-        assert [pixels(pictures).tobytes() for pictures in kept] == before
-        assert [pixels(pictures).tobytes() for pictures, _ in batches.epoch(1)] == before
-
-
 # Bringing the crops there
-
-
-def test_every_picture_is_reported_once(index: Path) -> None:
-    """Mirror images and copies show the same picture."""
-    pictures = len({(row["offset"], row["camera"]) for row in rows_of(index)})
-    reported: list[int] = []
-    with load(index, batch=8) as loader:
-        assert loader.pictures == pictures < len(loader) / 2
-        batches = KeptBatches(loader, CPU, reported.append)
-        assert sum(reported) == pictures
-        assert max(reported) <= 8  # reported as it goes
-        (index.parent / "lake.mcap").rename(index.parent / "away.mcap")  # nothing is opened again
-        assert sum(len(steering) for _, steering in batches.epoch(1)) == len(loader)
-        (index.parent / "away.mcap").rename(index.parent / "lake.mcap")
 
 
 def test_the_memory_needed_is_that_of_the_crops_and_a_little(index: Path) -> None:

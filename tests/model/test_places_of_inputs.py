@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from driving import run, untrained_run
 from model import train
 from model.runs.run_folder import weights_checksum
 from model.runs.run_inputs import index_of, init_of, sessions_of
-from toy import SMALL, toy_index
+from tests.helpers.driving import run, untrained_run
+from tests.helpers.toy import SMALL, toy_index
 
 pytestmark = pytest.mark.usefixtures("project")
 

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from dataset import build_index
-from panorama import pressed, views, write_drive
-from places import Place
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
 from recorder.log.findings import Findings
@@ -23,7 +21,9 @@ from recorder.rows.steering_habits import SteeringLag
 from recorder.seen import steering_lag
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.log_info import LogInfo, describe
-from udacity import call
+from tests.helpers.panorama import pressed, views, write_drive
+from tests.helpers.places import Place
+from tests.helpers.udacity import call
 
 ROWS = 1300
 LATE_S = 0.3

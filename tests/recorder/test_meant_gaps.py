@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from logs import START_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.findings import Findings
@@ -15,7 +14,8 @@ from recorder.log.meant_gaps import MeantGap
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
-from udacity import call, jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.udacity import call, jpeg
 
 HUMAN, PILOT = "manual: a human drives", "manual: the pilot drives again"
 EVENT = "not recorded: 1.000 s, the car was pushed off its line"

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs import START_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.road_places import states_of
@@ -19,7 +18,8 @@ from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
-from udacity import call
+from tests.helpers.logs import START_NS
+from tests.helpers.udacity import call
 
 ROWS = 200
 RATE_HZ = 10

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import START_NS
-from plain_mcap import contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.causes import ROW_FLAGS
 from recorder.rows.row_quality import States, drive_numbers
+from tests.helpers.logs import START_NS
+from tests.helpers.plain_mcap import contents
 
 SECOND_NS = 1_000_000_000
 

@@ -13,15 +13,14 @@ from dataset.cli import main as bc_index
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import read_frames
 from dataset.frames.image_check_cache import write_image_check
-from panorama import RATE_HZ, Seconds, hand, views, write_drive
-from recorder import Log, LogWriter
+from recorder import Log
 from recorder.import_cli import main as bc_import
 from recorder.log.road_places import states_of
 from recorder.log_cli import main as bc_log
 from recorder.seen.steering_against_pictures import against_pictures
-from recorder.topics import POSE
 from recorder.upkeep.check import check
-from udacity import call
+from tests.helpers.panorama import RATE_HZ, Seconds, hand, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 600
 WRONG_S = (20.0, 32.0)
@@ -84,22 +83,6 @@ def test_poses_decide_where_the_pictures_turn_the_other_way(tmp_path: Path) -> N
     no_pictures = [b"no picture"] * ROWS
     drive = write_drive(tmp_path / "dark.mcap", no_pictures, wheel, heading_rad=turned_by(hand))
     assert found_in(drive) == expected
-
-
-def test_a_pose_that_cannot_be_read_leaves_the_pictures_to_decide(tmp_path: Path) -> None:
-    wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
-    whole = write_drive(tmp_path / "whole.mcap", views(ROWS), wheel, heading_rad=turned_by(wheel))
-    drive = tmp_path / "drive.mcap"
-    with Log(whole) as log, LogWriter(drive, dict(log.metadata)) as writer:
-        for schema, channel, message in (message for chunk in log.chunks for message in log.messages_of(chunk)):
-            if (channel.topic, message.sequence) == (POSE, 300):
-                message.data = b"no pose"
-            writer.copy(schema, channel, message, message.sequence)
-    assert found_in(whole) == []
-    assert found_in(drive) == [pytest.approx([at_s * RATE_HZ for at_s in WRONG_S], abs=10)]
-    checked = check(drive)
-    assert ("messages that do not match their schema", "/pose row 300") in checked.findings
-    assert [odd.kind for odd in checked.odd if odd.is_shown] == ["steering_against_pictures"]
 
 
 def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(

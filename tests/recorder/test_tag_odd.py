@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from logs import tags_of, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, TaggedRows
 from recorder.log_cli import main
 from recorder.rows.odd_stretches import OddStretch
-from udacity import call, picture
+from tests.helpers.logs import tags_of, write_log
+from tests.helpers.udacity import call, picture
 
 
 @pytest.fixture

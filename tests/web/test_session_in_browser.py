@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 import recorder.log_cli
-from driving import road_jpeg
-from faulty_session import CRASH, ROWS, STUCK, write_faulty
-from logs import START_NS, write_log
-from pages import drag, open_session, opened_page, press, window_of, with_token
-from panorama import pressed, views, write_drive
-from ports import free_ports
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg
+from tests.helpers.faulty_session import CRASH, ROWS, STUCK, write_faulty
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.pages import drag, open_session, opened_page, press, window_of, with_token
+from tests.helpers.panorama import pressed, views, write_drive
+from tests.helpers.ports import free_ports
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 from web.server.static_files import STATIC
-from workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import APIResponse, Browser, Page, Route
