@@ -12,8 +12,7 @@ from typing import Final
 import msgspec
 
 from common.files import atomic_file
-from common.untrusted import read_bounded
-from common.untrusted_json import json_as
+from common.untrusted import json_as, read_bounded
 from common.users_cache import users_cache
 
 RECORD_NAME: Final = ".store.json"

@@ -15,7 +15,7 @@ from common.location import Location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import check_where, read_frames
 from dataset.index.stored_index import frames_here
-from dataset.samples.frame_choice import choose_frames
+from dataset.samples.sample_choice import choose_frames
 from dataset.samples.samples_format import SessionLabels
 from dataset.samples.samples_reader import Samples
 from recorder.lerobot.export import Exported, export_lerobot

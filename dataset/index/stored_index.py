@@ -12,11 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from common.allowed_places import folders_of, remember_places
 from common.errors import ObjectChangedError, UsageError
 from common.location import Location, Url
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import index_project
 from dataset.index.build_state import FRAMES_FOLDER, STATE_NAME
 from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -50,7 +48,7 @@ def index_here(index: Location, logs: Sequence[Location]) -> Iterator[tuple[Path
     with StoredFolder(index) as folder:
         folder.download()
         folder.remove_local(SAMPLES_NAME, STATE_NAME)  # from a build that could not be uploaded
-        yield folder.local, lambda: _put(folder, index, logs)
+        yield folder.local, lambda: _put(folder)
 
 
 def frames_here(index: Location) -> Path:
@@ -68,9 +66,8 @@ def frames_here(index: Location) -> Path:
         return folder.local / FRAMES_FOLDER
 
 
-def _put(folder: StoredFolder, index: Url, logs: Sequence[Location]) -> None:
+def _put(folder: StoredFolder) -> None:
     try:
         folder.upload(first=[SAMPLES_NAME, f"{FRAMES_FOLDER}/"])
     except ObjectChangedError as error:
         raise DatasetError(f"{error}; give the command again to continue") from None
-    remember_places(index, index_project(index), folders_of(logs))

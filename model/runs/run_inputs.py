@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shlex
 from pathlib import Path
 
-from common.allowed_places import AllowedPlaces, folders_of, remember_places
-from common.errors import UsageError, printable
+from common.errors import UsageError
 from common.files import short_path
 from common.location import Location, Url, location
 from common.store_record import cached_from
 from common.untrusted import real_path
-from dataset import Samples
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from model.errors import RunError
@@ -42,27 +39,6 @@ def index_of(run: Path) -> Location | None:
     return _place_of(run, load_config(run).get("index"))
 
 
-def allowed_index_of(run: Path) -> Location | None:
-    """The index that a run was trained on; None if the config does not record it.
-
-    The config of a run from elsewhere could name any place. Raises RunError if the run may not name this place; if
-    nothing exists there, returns None.
-    """
-    index = index_of(run)
-    if index is None or index in _allowed(run):
-        return index
-    if isinstance(index, Path) and not index.is_dir():
-        return None
-    raise _not_allowed(run, f"{printable(str(index))} as its index", "--index", index)
-
-
-def remember_inputs(run: Path, samples: Samples, init: Path | None) -> None:
-    """Allow a run that is trained on this machine to name its index, logs and first weights, wherever they are."""
-    folders = folders_of(log.path for log in samples.logs.values())
-    inits = () if init is None else (location(cached_from(init) or init),)
-    remember_places(run, run.parent.parent, [samples.path.parent, *folders, *inits])
-
-
 def logs_of(run: Path) -> dict[str, Location]:
     """The places of the logs of a run's index, by session; empty if the config does not record them."""
     stored, index = load_config(run), index_of(run)
@@ -77,22 +53,13 @@ def logs_of(run: Path) -> dict[str, Location]:
     return {}
 
 
-def log_to_open(run: Path, session: str, log: Location) -> Location:
-    """Return `log`, a log of `logs_of`. Raises RunError if the run may not name its place."""
-    if log in _allowed(run):
-        return log
-    raise _not_allowed(run, f"{printable(str(log))} as the log of {printable(session)}", "--sessions", log.parent)
-
-
 def sessions_of(run: Path) -> Location | None:
-    """The folder with all logs of a run's index. None if the logs are in several folders, if the run may not name
-    the folder, or if a folder of this machine does not exist any more."""
+    """The folder with all logs of a run's index. None if the logs are in several folders, or if the folder on this
+    machine does not exist any more."""
     folders: set[Location] = {log.parent for log in logs_of(run).values()}
     if len(folders) != 1:
         return None
     folder = folders.pop()
-    if folder not in _allowed(run):
-        return None
     return folder if isinstance(folder, Url) or folder.is_dir() else None
 
 
@@ -112,28 +79,11 @@ def init_of(run: Path, runs: Location) -> Path | None:
             raise ValueError("a run's name is a path")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{run / CONFIG}: does not name the run that it was started from ({error})") from None
-    if place is not None and place not in _allowed(run):
-        place = None
     is_there = isinstance(place, Url) or (place is not None and place.exists())
     init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
         raise RunError(f"{init}: its weights have changed since {run} was started from them; give --init RUN")
     return init
-
-
-def _not_allowed(run: Path, what: str, flag: str, place: Location) -> RunError:
-    return RunError(
-        f"{run / CONFIG}: names {what}, which is not in its project, and it was not trained here; it is not"
-        f" opened. If it is yours: {flag} {shlex.quote(printable(str(place)))}"
-    )
-
-
-def _allowed(run: Path) -> AllowedPlaces:
-    """Places in the project of the run; for a run in a store, in its bucket and in the current project."""
-    folder = config_folder(run)
-    if url := cached_from(folder):
-        return AllowedPlaces(folder, location(url), real_path(RUNS).parent)
-    return AllowedPlaces(folder, real_path(folder).parent.parent)
 
 
 def _place_of(run: Path, stored: object) -> Location | None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 from common import UserError
-from common.allowed_places import remember_places
 from common.errors import UsageError
 from common.location import Location, Url
 from common.progress import progress_bar
@@ -34,7 +33,6 @@ def bring_run_to(runs: Path, name: str) -> Path:
         raise RunError(f"{local}: exists, but is not a copy of {stored.url}; move it away, or give another --runs")
     with stored_run_folder(stored.url, local) as folder, progress_bar() as progress:
         folder.download(keeps_local=True, objects=stored.files.values(), progress=progress)
-    remember_places(local, local.parent.parent, [Url(stored.url.scheme, stored.url.bucket)])
     return local
 
 

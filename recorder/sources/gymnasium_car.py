@@ -185,9 +185,7 @@ class GymnasiumCar(Closeable):
         except (TypeError, KeyError, AttributeError, IndexError):
             size = ()
         if len(size) != 2 or min(size) < MIN_PX or picture.dtype != np.uint8:
-            raise RecordingError(
-                f"{self.name}: step {self._steps} gave no picture, although its spaces have one"
-            )
+            raise RecordingError(f"{self.name}: step {self._steps} gave no picture, although its spaces have one")
         return GymnasiumMoment(observation, picture, self._speed_mph(observation, info), reward, end)
 
     def _speed_mph(self, observation: Any, info: dict[str, Any]) -> float:
@@ -268,8 +266,7 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
         )
     if not pictures:
         raise RecordingError(
-            f"{name}: no camera picture in its observation, {_named(space)}: expected"
-            " (height, width, 3) of uint8"
+            f"{name}: no camera picture in its observation, {_named(space)}: expected (height, width, 3) of uint8"
         )
     if len(pictures) > 1:
         raise RecordingError(f"{name}: which picture? Give its key as picture, one of {shown}")

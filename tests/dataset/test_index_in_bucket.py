@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from bucket import Bucket
 from common.location import Url
 from common.random_access import open_for_reading
 from common.store_record import Copy, StoreRecord, write_record
 from common.stored_folder import StoredFolder
 from dataset import Samples
 from dataset.cli import main
-from logs import write_log
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 INDEX = "s3://logs/index"
 

@@ -9,16 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from bucket import Bucket, serving_bucket
 from common.stored_folder import StoredFolder
+from drive.cli import main as drive_main
 from drive.drive_server import DriveServer
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import call_drive, untrained_run
-from logs import write_log
 from model.runs.kept_results import kept_results
-from serving import fields
-from toy import STEERING, road
-from udacity import call
+from tests.helpers.bucket import Bucket, serving_bucket
+from tests.helpers.driving import untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.serving import fields
+from tests.helpers.toy import STEERING, road
+from tests.helpers.udacity import call
 
 RUNS, DRIVES = "s3://logs/runs", "s3://logs/drives"
 
@@ -85,6 +86,6 @@ def test_the_logs_of_all_simulators_are_copied(
 
     monkeypatch.setattr(DriveServer, "run", drive_two)
     run = untrained_run(tmp_path / "here/night")
-    assert call_drive(run, "--log", f"{DRIVES}/run.mcap", "--port", 0, "--viewer", "off") == 0
+    assert call(drive_main, run, "--log", f"{DRIVES}/run.mcap", "--port", 0, "--viewer", "off") == 0
     for name in ("run.mcap", "run-2.mcap"):
         assert (bucket.folder / "drives" / name).read_bytes() == Path("drives", name).read_bytes()

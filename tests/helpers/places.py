@@ -10,7 +10,7 @@ from typing import Any
 import localbucket
 
 from common.location import Location, Url
-from faulty_proxy import serving
+from tests.helpers.faulty_proxy import serving
 
 Place = Callable[[Path], Location]
 """How a command is told of a file that the test has written: by its path, or by its URL."""

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from bucket import Bucket
-from driving import one_line_in
 from model import find_run
 from model.cli import main
 from model.training.trainer import train
-from toy import SMALL
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.driving import one_line_in
+from tests.helpers.toy import SMALL
+from tests.helpers.udacity import call
 
 RUNS = "s3://logs/runs"
 RUN = f"{RUNS}/mine"

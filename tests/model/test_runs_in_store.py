@@ -10,17 +10,17 @@ from typing import Any
 
 import pytest
 
-from bucket import Bucket
 from common.location import Location
 from common.stored_folder import StoredFolder
-from driving import one_line_in, untrained_run
-from histories import epoch_line
 from model import RunError, find_run
 from model.runs.kept_results import keep_result, kept_results
 from model.runs.runs_in_store import send_results
 from model.runs_cli import main as bc_runs
-from places import Place
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.driving import one_line_in, untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.places import Place
+from tests.helpers.udacity import call
 
 RUNS = "s3://logs/runs"
 LAKE = {"track": "lake", "set_speed_mph": 10.0, "interventions": 1, "distance_m": 500.0}

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bucket import serving_bucket
-from logs import write_log
-from udacity import call, jpeg
+from tests.helpers.bucket import serving_bucket
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call, jpeg
 from viz.cli import main
 
 

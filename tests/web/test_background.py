@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from common.errors import StoreError
-from waiting import wait_until
+from tests.helpers.waiting import wait_until
 from web.folders import background
 from web.folders.background import Background
 

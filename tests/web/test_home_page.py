@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from logs import write_log
 from model.runs.kept_results import keep_result
-from runs import a_run
-from waiting import wait_until
-from workbench import Served, plain, served
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 
 
 def main_buttons(bench: Served) -> list[str]:

@@ -16,19 +16,19 @@ import pytest
 
 import dataset.cli
 import recorder.log_cli
-from bucket import Bucket, serving_bucket
-from drives import a_drive
-from driving import road_jpeg
-from logs import START_NS, write_log
 from model.runs.kept_results import keep_result
 from recorder import Log
 from recorder.log.kept_logs import bring_here
 from recorder.log.tags import read_tags
-from runs import a_run
-from udacity import call
-from waiting import wait_until
+from tests.helpers.bucket import Bucket, serving_bucket
+from tests.helpers.drives import a_drive
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.runs import a_run
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 from web.folders import background, stored_folders
-from workbench import Served, served
 
 TURNING = [0.05 * (row % 9 - 4) for row in range(120)]
 SETTINGS = "--labels", "as-recorded", "--block-s", "1", "--gap-s", "0"

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 from common import UserError
 from common.errors import StoreError, printable
-from common.interrupts import leave_signals_to_main_thread
 from common.location import Url
 from common.users_cache import cached_copy
 from web.errors import report_bug
@@ -60,7 +59,6 @@ class Refreshed(Generic[Value]):
         self._has_result.wait(max(0.0, self._first_s + _PATIENCE_S - now_s))
 
     def _run(self) -> None:
-        leave_signals_to_main_thread()
         began_s = time.monotonic()
         value, problem = self.value, ""
         try:

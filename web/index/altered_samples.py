@@ -16,7 +16,7 @@ from common.errors import printable
 from common.location import Location, absolute
 from common.steering_unit import assumed_deg, steering_unit
 from dataset import Samples
-from dataset.epoch_alterations import EpochAlterations
+from dataset.alterations import EpochAlterations
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL
 from dataset.preprocessing import Image

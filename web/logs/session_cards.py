@@ -26,8 +26,7 @@ from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, 
 from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.known_lag import lag_path
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag, tags_by_content, tags_path
+from recorder.log.tags import Tag, TaggedRows, tags_by_content, tags_path
 from recorder.upkeep.log_info import LogInfo, describe
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
