@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
+from mcap.records import Channel, McapRecord, Schema, Statistics
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
@@ -27,13 +28,16 @@ from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.decoding import decodes
 from recorder.sources.imported_rows import Imported
+from recorder.sources.mcap_messages import decoder_for
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.ros2_bag import yaml_content
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import read_udacity
 from recorder.upkeep.edit import trim
+from recorder.upkeep.recover import recover
 from tests.helpers.driving import command, environment, run
-from tests.helpers.logs import START_NS, read_messages
+from tests.helpers.logs import START_NS, read_messages, write_log
+from tests.helpers.mcap_patch import patched
 from tests.helpers.other_logs import ROS_TOPICS, write_bag
 from tests.helpers.tubs import record_1, record_2, write_tub_1, write_tub_2
 from tests.helpers.udacity import jpeg, make_recording, paths, picture_name
@@ -159,6 +163,13 @@ def test_huge_files_of_a_tub(tmp_path: Path) -> None:
         import_recording(second, tmp_path / "two.mcap")
 
 
+def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
+    with_hole(bag / "metadata.yaml")
+    with pytest.raises(RecordingError, match=r"metadata\.yaml cannot be read"):
+        import_recording(bag, tmp_path / "log.mcap", ROS_TOPICS)
+
+
 def test_metadata_of_a_bag_that_repeats_itself_without_end(tmp_path: Path) -> None:
     """Each mapping is merged twice into the next one: the last would have 2 to the power of 60."""
     merges = "".join(f"a{n + 1}: &a{n + 1} {{<<: [*a{n}, *a{n}], k{n}: 1}}\n" for n in range(60))
@@ -180,6 +191,13 @@ def test_metadata_of_a_bag_that_repeats_itself_without_end(tmp_path: Path) -> No
 def test_yaml_is_bounded_in_depth_and_number(text: bytes, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         yaml_content(text)
+
+
+def test_a_definition_of_thousands_of_fields_is_refused() -> None:
+    fields = "".join(f"float32 field_{number}\n" for number in range(4000)).encode()
+    assert len(fields) > 1 << 16
+    with pytest.raises(RecordingError, match=f"the definition of its type has {len(fields):,} bytes"):
+        decoder_for(Schema(1, fields, "ros2msg", "a/msg/B"), Channel(1, "/a", "cdr", {}, 1))
 
 
 # ROS bags that are programs
@@ -250,6 +268,17 @@ def test_a_log_of_more_messages_than_bytes_is_not_unpacked_into_memory(tmp_path:
         assert "Traceback" not in done.stderr
     with Log(path) as log:
         assert (log.counts, log.lost) == ({}, [(34, path.stat().st_size)])
+
+
+def test_a_log_that_declares_more_messages_than_it_can_hold_is_refused(tmp_path: Path) -> None:
+    def declare_many(record: McapRecord) -> None:
+        if isinstance(record, Statistics):
+            record.message_count = 10**15
+
+    log = patched(write_log(tmp_path / "declares.mcap", [0.1] * 5), summary=declare_many)
+    with pytest.raises(LogError, match=r"declares\.mcap: damaged: 1,000,000,000,000,000 messages in"):
+        Log(log)
+    assert recover(log, tmp_path / "saved.mcap").rows == 5
 
 
 def test_trimming_takes_little_memory_for_each_message(tmp_path: Path) -> None:

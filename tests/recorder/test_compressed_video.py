@@ -20,7 +20,7 @@ from dataset.frames.image_check_cache import check_all_images, check_images, rea
 from recorder import Log, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.image_check import ImageCheck
-from recorder.pictures.picture_size import width_and_height
+from recorder.pictures.picture_size import MAX_PIXELS, width_and_height
 from recorder.sources.compressed_video import VideoDecoder, is_video_type, video_in
 from recorder.sources.mcap_messages import FieldError, decoder_for
 from recorder.sources.recording_kinds import import_recording
@@ -35,6 +35,7 @@ from tests.helpers.videos import (
     FOXGLOVE_TYPE,
     GOP,
     PACKET_TYPE,
+    ROS_VIDEO_TOPICS,
     VIDEO_TOPICS,
     encoded,
     number_of,
@@ -104,6 +105,34 @@ def test_b_frames_are_refused() -> None:
     """Foxglove's format has none: their pictures come messages later."""
     with pytest.raises(RecordingError, match="B frames"):
         numbers(encoded(FRAMES, b_frames=2))
+
+
+def grey_picture(width: int, height: int) -> bytes:
+    """A key frame of one grey, written by hand: to encode a large one takes seconds and 600 MB (H.264, 7.3)."""
+
+    def ue(number: int) -> str:
+        bits = f"{number + 1:b}"
+        return "0" * (len(bits) - 1) + bits
+
+    def unit(kind: int, bits: str) -> bytes:
+        bits += "1" + "0" * (-(len(bits) + 1) % 8)
+        return bytes([0, 0, 1, kind]) + int(bits, 2).to_bytes(len(bits) // 8, "big")
+
+    columns, rows = width // 16, height // 16
+    profile_and_level = f"{66:08b}{0xC0:08b}{62:08b}"
+    order_and_references = ue(0) + ue(0) + ue(2) + ue(1) + "0"
+    sequence = profile_and_level + order_and_references + ue(columns - 1) + ue(rows - 1) + "1100"
+    picture = ue(0) + ue(0) + "00" + ue(0) + ue(0) + ue(0) + "000" + ue(0) + ue(0) + ue(0) + "000"
+    slice_header = ue(0) + ue(7) + ue(0) + "0000" + ue(0) + "00" + ue(0)
+    block = ue(3) + ue(0) + ue(0) + "1"  # 16x16, predicted from its neighbours, without a difference
+    return unit(0x67, sequence) + unit(0x68, picture) + unit(0x65, slice_header + block * columns * rows)
+
+
+@pytest.mark.parametrize(("width", "height", "has_picture"), [(64, 32, True), (16384, 4112, False)])
+def test_a_frame_of_too_many_pixels_is_not_decoded(width: int, height: int, has_picture: bool) -> None:
+    assert (width * height <= MAX_PIXELS) is has_picture
+    jpeg = VideoDecoder("h264").jpeg(grey_picture(width, height))
+    assert (jpeg and width_and_height(jpeg)) == ((width, height) if has_picture else None)
 
 
 @pytest.mark.parametrize("video_format", ["", "h263", "mpeg4", "libx", "_", "concat:/etc/passwd", "x" * 5000])
@@ -186,6 +215,13 @@ def test_an_import_decodes_a_log_s_video_and_says_so(tmp_path: Path) -> None:
         "messages of a video without a whole picture (after damage, until a key frame)": GOP - 3
     }
     assert done.notices == ["decoded from videos and encoded anew: these are not the camera's original pictures"]
+
+
+def test_an_import_decodes_a_bag_s_video(tmp_path: Path) -> None:
+    bag = write_video_bag(tmp_path / "bag", StoragePlugin.SQLITE3, encoded(FRAMES))
+    done = import_recording(bag, tmp_path / "log.mcap", ROS_VIDEO_TOPICS)
+    pictures = [number_of(picture.data) for _, picture in read_messages(done.path)["/camera/center"]]
+    assert pictures == list(range(FRAMES))
 
 
 WHOLE = [jpeg(100 + number, number + 1) for number in range(20)]

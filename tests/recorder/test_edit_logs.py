@@ -417,6 +417,18 @@ def test_nothing_is_overwritten_and_the_original_never_changes(tmp_path: Path, e
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "link.mcap"]
 
 
+def test_split_overwrites_nothing_either(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
+    before = whole.read_bytes()
+    (tmp_path / "a-2.mcap").write_bytes(b"somebody's work")
+    with pytest.raises(UserError, match=r"a-2\.mcap exists already"):
+        split(whole, tmp_path)
+    assert (tmp_path / "a-2.mcap").read_bytes() == b"somebody's work"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
+    assert len(split(whole, tmp_path, overwrite=True)) == 2
+    assert whole.read_bytes() == before
+
+
 def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("recorder.log.writer.version_of", lambda: "0.0.1")

@@ -252,6 +252,18 @@ def test_a_link_out_of_the_tub_is_not_followed(tmp_path: Path, name: str) -> Non
     assert kept(done.path) == ([0, 2, 3] if link == name_2(1) else [0, 1, 2])
 
 
+@pytest.mark.parametrize("name", ["meta.json", "record_1.json", name_1(1)])
+def test_a_link_out_of_a_version_1_tub_is_not_followed(tmp_path: Path, name: str) -> None:
+    folder = tub_1(tmp_path / "downloaded")
+    private = (folder / name).rename(tmp_path / "private")
+    (folder / name).symlink_to(private)
+    done = imported(folder)
+    assert ("links out of the tub", name) in done.skipped
+    assert kept(done.path) == ([0, 1, 2, 3] if name == "meta.json" else [0, 2, 3])
+    if name == "meta.json":
+        assert metadata_of(done.path)["start"].startswith("1970")
+
+
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),

@@ -79,6 +79,26 @@ def test_an_export_comes_back_as_it_was(tmp_path: Path, speed_mph: float) -> Non
         assert opened.metadata["clock"] == "recorded"
 
 
+@pytest.mark.parametrize("flags", [{}, {"steering": "action.steering"}])
+def test_an_export_of_the_version_before_comes_back(tmp_path: Path, flags: dict[str, Any]) -> None:
+    """Its state was one number, the speed."""
+    log = write_drives(tmp_path / "two.mcap")
+    export_lerobot([log], tmp_path / "out")
+    now = content(imported(tmp_path / "out", **flags).path)
+    (data,) = (tmp_path / "out/data").glob("*/*.parquet")
+    table = pq.read_table(data)
+    speed = pa.array([9.3] * len(table), pa.float32())
+    pq.write_table(
+        table.set_column(table.column_names.index("observation.state"), "observation.state", speed), data
+    )
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    state = {"observation.state": numbers_feature(["speed_mph"], 1)}
+    change_info(tmp_path / "out", features=info["features"] | state)
+    before = content(imported(tmp_path / "out", overwrite=True, **flags).path)
+    assert before == now
+    assert flags or before == content(log)
+
+
 def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
     car = Car(max_steering_deg=30.0, wheelbase_m=2.5)
     log = write_drives(tmp_path / "two.mcap", metadata=metadata_of(car))

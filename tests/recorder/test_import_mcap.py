@@ -7,7 +7,9 @@ import json
 import math
 import random
 import sqlite3
+import struct
 import sys
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -205,6 +207,20 @@ def test_what_is_no_whole_picture_is_left_out_and_named(tmp_path: Path) -> None:
     assert done.skipped.counts == {"pictures that are not whole JPEG or PNG files": len(broken)}
 
 
+def test_a_small_png_that_unpacks_to_a_huge_one_is_not_unpacked(tmp_path: Path) -> None:
+    side = 8200
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)),
+        (b"IDAT", zlib.compress(bytes(side * (side + 1)), 1)),
+    ]
+    bomb = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in [*chunks, (b"IEND", b"")]
+    )
+    source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(bomb))])
+    assert "; pictures that are not whole JPEG or PNG files: 1 (" in error_of(source)
+
+
 def test_messages_that_make_no_sense_are_left_out_and_named(tmp_path: Path) -> None:
     told = [
         *DRIVE,
@@ -360,6 +376,18 @@ def test_a_compressed_bag_is_refused_and_told_how_to_unpack(tmp_path: Path) -> N
     text = (bag / "metadata.yaml").read_text()
     (bag / "metadata.yaml").write_text(text.replace("compression_mode: ''", "compression_mode: FILE"))
     assert "ros2 bag convert" in error_of(bag, ROS_TOPICS)
+
+
+@STORAGES
+def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlugin) -> None:
+    bag, private = tmp_path / "bag", write_bag(tmp_path / "private", storage)
+    (secret,) = (path for path in private.iterdir() if path.name != "metadata.yaml")
+    bag.mkdir()
+    (bag / f"link{secret.suffix}").symlink_to(secret)
+    names = [f"../private/{secret.name}", str(secret), f"link{secret.suffix}"]
+    text = json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}})
+    (bag / "metadata.yaml").write_text(text)
+    assert "all files that" in error_of(bag, ROS_TOPICS)
 
 
 @pytest.mark.parametrize("package", ["mcap_ros2.decoder", "ruamel.yaml"])

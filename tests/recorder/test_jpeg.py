@@ -14,6 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dataset import decode
+from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import (
     PADDING_BYTES,
     SizeReader,
@@ -118,6 +120,16 @@ def of_scans(count: int) -> bytes:
     """A progressive JPEG whose last scan is there so many times more."""
     data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
     return data[:-2] + count * data[data.rindex(b"\xff\xda") : -2] + data[-2:]
+
+
+def test_nothing_decodes_a_picture_of_thousands_of_scans() -> None:
+    coded = np.frombuffer(of_scans(2000), np.uint8)
+    assert cv2.imdecode(coded, cv2.IMREAD_COLOR) is not None  # OpenCV itself; a larger one takes seconds
+    assert decode_picture(of_scans(50), cv2.IMREAD_COLOR) is not None
+    assert decode(of_scans(50)).shape == (64, 64, 3)
+    assert decode_picture(of_scans(2000), cv2.IMREAD_COLOR) is None
+    with pytest.raises(ValueError, match="more than 100 scans"):
+        decode(of_scans(2000))
 
 
 NOISE = np.random.default_rng(7).integers(0, 256, (40, 56, 4), np.uint8)

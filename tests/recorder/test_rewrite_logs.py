@@ -15,6 +15,7 @@ from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import rewrite
+from recorder.upkeep.recover import recover
 from tests.helpers.driving import one_line_in
 from tests.helpers.layouts import write_as_before
 from tests.helpers.logs import flip_bit, tags_of, write_log
@@ -65,6 +66,14 @@ def test_it_and_its_rewrites_have_the_fingerprint_of_the_original(old: Path, tmp
     second = rewrite(first, tmp_path / "2.mcap").path
     assert fingerprints(first)[0] == fingerprints(second)[0] == fingerprints(old)[0]
     assert fingerprints(first)[1] != fingerprints(old)[1]
+
+
+@pytest.mark.parametrize("where", ["its end", "a picture"])
+def test_tags_come_along_when_it_is_damaged_and_recovered(old: Path, tmp_path: Path, where: str) -> None:
+    new = rewrite(old, tmp_path / "new.mcap").path
+    flip_bit(new, -20 if where == "its end" else contents(new).chunks[0].end - 20)
+    to = recover(new, tmp_path / "recovered.mcap").path
+    assert tags_of(to) == [(10, 20, "exclude")]
 
 
 def test_an_index_is_built_anew_and_holds_the_same_samples(old: Path, tmp_path: Path) -> None:

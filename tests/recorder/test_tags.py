@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -112,6 +113,16 @@ def test_a_damaged_line_is_an_error_that_names_it_and_nothing_is_lost(log: Path,
     assert "\n" not in str(caught.value)
     add_tags(log, CONTENT, [Tag(3, 4, "exclude")])
     assert tags_path(log).read_bytes().startswith(before)
+
+
+def test_an_endless_file_is_refused_without_reading_it(log: Path) -> None:
+    tags_path(log).touch()
+    os.truncate(tags_path(log), 1 << 40)
+    with pytest.raises(LogError, match="larger than"):
+        read_tags(log, CONTENT)
+    with pytest.raises(LogError, match="larger than"):
+        add_tags(log, CONTENT, [Tag(0, 1, "good")])
+    assert tags_path(log).stat().st_size == 1 << 40
 
 
 def test_tags_that_would_make_the_file_unreadable_are_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,6 +99,34 @@ def test_whole_numbers_do_not_change_a_known_decimal_separator(
     assert parsed.steering == pytest.approx(degrees / 25)
 
 
+CULTURES = [
+    ("-1,234.5000", "0.2500", "-0.2167"),  # en-US, and 75 more
+    ("-1.234,5000", "0,2500", "-0,2167"),  # de-DE
+    ("-1\u00a0234,5000", "0,2500", "-0,2167"),  # fr-FR
+    ("-1\u00a0234.5000", "0.2500", "-0.2167"),  # fr-CH
+    ("-1'234.5000", "0.2500", "-0.2167"),  # de-CH
+    ("-1\u2019234.5000", "0.2500", "-0.2167"),  # rm-CH
+    ("- 1.234,5000", "0,2500", "- 0,2167"),  # hr-HR
+    ("- 1,234.5000", "0.2500", "- 0.2167"),  # km-KH
+    ("1,234.5000-", "0.2500", "0.2167-"),  # ar-SA, and 15 more
+    ("1,234/5000-", "0/2500", "0/2167-"),  # fa-IR
+    ("\u200e\u22121\u066c234\u066b5000", "0\u066b2500", "\u200e\u22120\u066b2167"),  # fa-IR, newer .NET
+    ("\u061c-1\u066c234\u066b5000", "0\u066b2500", "\u061c-0\u066b2167"),  # ar-EG, newer .NET
+]
+
+
+@pytest.mark.parametrize(("speed", "throttle", "degrees"), CULTURES)
+def test_every_culture_is_understood_and_answered_in_kind(speed: str, throttle: str, degrees: str) -> None:
+    parsed = parse_telemetry(telemetry(speed=speed, throttle=throttle, steering_angle=degrees))
+    assert (parsed.speed_mph, parsed.throttle) == (-1234.5, 0.25)
+    assert parsed.steering == pytest.approx(-0.2167 / 25)
+    separator = throttle[1]
+    assert format_command(-0.25, 0.5, parsed.decimal_separator) == {
+        "steering_angle": f"-0{separator}250000",  # a minus behind is written there, and not read
+        "throttle": f"0{separator}500000",
+    }
+
+
 def test_what_is_out_of_range_is_told_as_it_came() -> None:
     for degrees, expected in (("25.0000", 1.0), ("-25.0000", -1.0), ("26", 1.04), ("-4,000.0", -160.0)):
         assert parse_telemetry(telemetry(steering_angle=degrees)).steering == expected
@@ -412,3 +440,10 @@ def test_a_simulator_that_tells_its_time_alone_is_driven_by_it(pilot: Pilot) -> 
 def test_the_docs_name_every_member() -> None:
     page = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
     assert [name for name in MEMBERS if f"`{name}`" not in page] == []
+
+
+def test_an_experts_command_stays_within_its_bounds() -> None:
+    for parsed, expected in ((1.5, 1.0), (-7, -1.0), (1e8, 1.0), (-1.0, -1.0)):
+        assert used({"expert_steering": parsed, "expert_throttle": parsed}) == World(
+            expert_steering=expected, expert_throttle=expected
+        )

@@ -365,6 +365,18 @@ def test_broken_packets_are_hung_up_on_and_said_once() -> None:
     assert "protocol" in line
 
 
+def test_empty_messages_are_passed_over() -> None:
+    with Serving(Book()) as serving:
+        client = RawClient(serving.port)
+        for number in range(2):
+            for empty, opcode in (("", ABNF.OPCODE_TEXT), (b"", ABNF.OPCODE_BINARY), ("4", ABNF.OPCODE_TEXT)):
+                client.websocket.send(empty, opcode)
+            client.tell(fields(number))
+            assert client.command() == steered(Steer(-steering(number), 0.5))
+        client.close()
+    assert serving.said == []
+
+
 def test_broken_frames_and_endless_messages_are_hung_up_on() -> None:
     with Serving(Book()) as serving:
         for _ in range(2):

@@ -19,9 +19,11 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from common import UserError
 from common.car import CAMERAS
 from recorder import Imported, RecordingError, import_udacity
 from recorder.sources.udacity_follow import watch_udacity
+from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import PATIENCE_S, Process
 from tests.helpers.logs import read_messages
 from tests.helpers.udacity import jpeg, make_recording, paths, picture_name
@@ -207,6 +209,15 @@ def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert f"waiting for {tmp_path / 'nowhere' / 'driving_log.csv'}" in capsys.readouterr().err
 
 
+def test_links_out_of_the_recording_are_not_followed(tmp_path: Path) -> None:
+    make_recording(tmp_path / "private", f"{ROWS[0]}\n", [0])
+    folder = tmp_path / "downloaded"
+    folder.mkdir()
+    (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
+    with pytest.raises(RecordingError, match="a link out of the recording"):
+        watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
+
+
 def test_kill_ends_the_real_thing_and_a_killed_one_keeps_what_came(tmp_path: Path) -> None:
     code = "import sys; from pathlib import Path; from recorder.sources.udacity_follow import watch_udacity;"
     code += "done = watch_udacity(Path(sys.argv[1]), Path(sys.argv[2])); print(done.rows, done.pictures)"
@@ -251,3 +262,11 @@ def test_a_real_recording(recordings: Path, tmp_path: Path) -> None:
     done = watch(drive, tmp_path / "watched.mcap", steps)
     assert (done.rows, done.pictures, len(done.skipped)) == (200, 600, 0)
     assert contents(done.path) == contents(import_udacity(drive.folder, tmp_path / "imported.mcap").path)
+
+
+def test_what_was_watched_is_kept_and_named_on_a_full_disk(tmp_path: Path) -> None:
+    make_recording(tmp_path / "drive", "".join(f"{paths(number)},0,1,0,9.5\n" for number in range(3)))
+    with files_of_at_most(2_000), pytest.raises(UserError, match=r"bc-log recover .*\.part"):
+        watch_udacity(tmp_path / "drive", tmp_path / "log.mcap", idle_s=0)
+    [part] = tmp_path.glob("log.mcap.*.part")
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "drive", part]

@@ -106,6 +106,14 @@ def test_a_press_between_two_looks_counts_once() -> None:
     assert [seat.control(0.3).is_touching, seat.control(0.3).is_touching] == [True, False]
 
 
+def test_controls_that_were_overtaken_are_not_used() -> None:
+    seat, page = Seat(), object()
+    seat.enter(page, 0.0)
+    assert seat.steer(page, controls(0.5, 2), 0.1)
+    assert not seat.steer(page, controls(-0.5, 1), 0.2)
+    assert seat.control(0.3).steering == 0.5
+
+
 def test_a_second_page_watches_until_it_is_given_the_wheel(wheel: Wheel) -> None:
     with two_pages(wheel) as (first, second):
         assert first.text("wheel")["holder"]
@@ -206,6 +214,14 @@ def test_controls_out_of_range_are_none(wrong: dict[str, Any]) -> None:
 def test_only_the_token_opens_it(wheel: Wheel, headers: dict[str, str]) -> None:
     port = open_wheels(Path.cwd())[0].port
     with pytest.raises(InvalidStatus, match="401"), connect(f"ws://127.0.0.1:{port}", additional_headers=headers):
+        pass
+
+
+def test_a_browser_is_refused_though_it_had_the_token(wheel: Wheel) -> None:
+    opened = open_wheels(Path.cwd())[0]
+    headers = {"Authorization": f"Bearer {opened.token}", "Origin": "http://127.0.0.1:8080"}
+    address = f"ws://127.0.0.1:{opened.port}"
+    with pytest.raises(InvalidStatus, match="403"), connect(address, additional_headers=headers):
         pass
 
 
