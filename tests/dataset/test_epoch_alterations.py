@@ -105,6 +105,18 @@ def test_an_alteration_is_drawn_the_same_whichever_others_there_are() -> None:
     assert (alone.matrix == together.matrix).all()
 
 
+def test_draws_are_those_of_splitmix64() -> None:
+    """By the published formula, in whole numbers: a run that is resumed anywhere sees the same."""
+    seed, epoch, sample = 3, 2, 10**9
+    key = int(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0])
+    mixed = (key + (24 * sample + 1) * 0x9E3779B97F4A7C15) % 2**64  # the first draw of 24: columns
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
+        mixed = (mixed ^ (mixed >> shift)) * factor % 2**64
+    columns = 8 * ((mixed >> 11) / 2**52 - 1)
+    [label] = alterations_of("move", seed=seed).labels(np.zeros(1, np.float32), epoch, np.array([sample]))
+    assert label == pytest.approx(0.0075 * columns, abs=1e-7)
+
+
 def test_mixed_colours_change_no_draw_of_version_0_3() -> None:
     names = [name for name in EPOCH_ALTERATIONS if name != "mix"]
     earlier, today = (alterations_of(*some).draw(3, SAMPLES, 64, 64) for some in (names, EPOCH_ALTERATIONS))

@@ -58,6 +58,14 @@ def test_a_mirrored_steering_falls_into_the_mirrored_bin(values: list[float], bi
     assert ((right >= 0) & (right < bins)).all()
 
 
+@pytest.mark.parametrize(
+    ("steering", "expected"),
+    [(-1.0, 0), (-0.93, 0), (-0.91, 1), (-0.05, 11), (-0.03, 12), (0.0, 12), (0.03, 12), (0.05, 13), (1.0, 24)],
+)
+def test_twenty_five_bins_are_each_eight_hundredths_wide(steering: float, expected: int) -> None:
+    assert bin_of(np.array([steering]), 25).tolist() == [expected]
+
+
 @given(
     distributions,
     bins_from_1,

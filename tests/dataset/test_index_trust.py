@@ -13,10 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
+from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, sessions_not_indexed
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
+from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_table import frames_table
+from dataset.frames.image_check_cache import read_image_check, write_image_check
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from tests.helpers.driving import Process
@@ -125,6 +127,28 @@ def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> N
     Samples(tmp_path / "index").close()
 
 
+def test_a_link_in_the_index_is_not_followed(tmp_path: Path) -> None:
+    path = write_session(tmp_path / "a.mcap", STEERING)
+    other = build_index([path], tmp_path / "other").path
+    (tmp_path / "index").mkdir()
+    (tmp_path / "index" / "frames").symlink_to(other)
+    before = sorted(file.name for file in other.rglob("*"))
+    with pytest.raises(DatasetError, match="not a plain folder"):
+        build_index([path], tmp_path / "index")
+    assert sorted(file.name for file in other.rglob("*")) == before
+
+
+def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
+    write_image_check(tmp_path, "other", "f", ImageFindings(3, {}, {}))
+    other, link = (tmp_path / "looks" / f"{name}.json" for name in ("other", "a"))
+    before = other.read_bytes()
+    link.symlink_to(other)
+    assert read_image_check(tmp_path, "a", "f") is None
+    write_image_check(tmp_path, "a", "f", ImageFindings(4, {}, {}))
+    assert other.read_bytes() == before
+    assert read_image_check(tmp_path, "a", "f") == ImageFindings(4, {}, {})
+
+
 # What lies
 
 
@@ -157,6 +181,38 @@ def test_frames_that_make_no_sense_are_made_anew(tmp_path: Path, change: Any) ->
     again = build_index([path], tmp_path / "index")
     assert again.read == ["a"]
     assert again.samples.equals(samples)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"logs": 5},
+        {"logs": {"a": 1}},
+        {"balance": []},
+        {"balance": {"before": [[1]], "after": [[1]]}},
+        {"counts": "x"},
+    ],
+    ids=str,
+)
+def test_samples_metadata_that_lies_costs_no_traceback(tmp_path: Path, changed: dict[str, Any]) -> None:
+    path = write_session(tmp_path / "a.mcap", STEERING)
+    indexed = build_index([path], tmp_path / "index")
+    samples, state = tmp_path / "index" / "samples.parquet", tmp_path / "index" / "state.json"
+    rewrite(samples, **changed)
+    status = samples.stat()
+    state.write_text(
+        json.dumps({**json.loads(state.read_text()), "samples": [status.st_size, status.st_mtime_ns]})
+    )
+    assert isinstance(sessions_not_indexed(tmp_path / "index", tmp_path), list)
+    assert build_index([path], tmp_path / "index").balance.as_dict() == indexed.balance.as_dict()
+
+
+def test_deeply_nested_metadata_costs_no_traceback(tmp_path: Path) -> None:
+    build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index")
+    path = tmp_path / "index" / "samples.parquet"
+    pq.write_table(pq.read_table(path).replace_schema_metadata({KEY: b"[" * 200_000}), path)
+    with pytest.raises(DatasetError, match="damaged"):
+        Samples(tmp_path / "index")
 
 
 # What cannot be
@@ -215,6 +271,3 @@ def test_a_split_without_samples_is_said(cwd: Path, capsys: pytest.CaptureFixtur
     assert call(main, "--block-s", 1, "--gap-s", 100) == 3
     assert "no sample for training" in capsys.readouterr().err
     assert call(main, "--validation-share", 0) == 0
-
-
-# The split and shared pictures

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -158,6 +158,12 @@ def test_a_label_is_never_beyond_the_steering_of_its_stretch(
         if value is not None:
             steering = [rows[i].steering for i in stretch_of(rows, at)]
             assert min(steering) - 1e-15 <= value <= max(steering) + 1e-15
+
+
+@given(rows_of_people, smooths, shifts)
+def test_a_mirrored_drive_has_the_negative_labels(rows: list[Row], smooth_s: float, shift_s: float) -> None:
+    mirrored = labels([replace(row, steering=-row.steering) for row in rows], smooth_s, shift_s)
+    assert mirrored == [value if value is None else -value for value in labels(rows, smooth_s, shift_s)]
 
 
 def test_a_ramp_is_shifted_exactly_and_smoothing_does_not_bend_it() -> None:
