@@ -664,6 +664,21 @@ def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path)
     assert events(log).count("the drive ends: the car is braked to a stand") == 1
 
 
+@pytest.mark.needs("ipv6")
+def test_a_simulator_is_driven_over_ipv6(pilot_run: Path, tmp_path: Path) -> None:
+    answers: list[ServerCommand] = []
+
+    def drive_once(answer: ServerCommand) -> SimulatorTelemetry | None:
+        answers.append(answer)
+        return SimulatorTelemetry(0.0, 0.0, 0.0, road_jpeg(0)) if answer is None else None
+
+    with DriveProcess(pilot_run, tmp_path / "run.mcap", "--host", "::1") as process:
+        port = int(process.wait_for(r"is waiting for a simulator on \[::1\]:(\d+)$")[1])
+        SimulatorClient("::1", port, wait_s=PATIENCE_S, in_flight=1).run(drive_once)
+        assert process.end() == 0
+    assert isinstance(answers[1], SteerCommand)
+
+
 def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_path: Path) -> None:
     shown: list[str] = []
     with DriveServer(

@@ -16,6 +16,7 @@ from drive.cli import main as bc_drive
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.reader import Log
 from tests.helpers.bucket import serving_bucket
+from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import one_line_in, untrained_run
 from tests.helpers.repository import ROOT
 from tests.helpers.toy_environment import STEPS, bar, with_bars
@@ -81,6 +82,15 @@ def test_a_drive_is_copied_to_a_store_when_it_is_finished(
         assert call(bc_drive, *flags[:-2], "--drives", "s3://logs/drives") == 0  # by its date
         assert len(list((bucket.folder / "drives").glob("20*.mcap"))) == 1
         assert call(bc_drive, *flags, "--drives", "s3://logs/drives") == 2
+
+
+def test_a_full_disk_ends_the_drive_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    line = [*bar(**SPEED), *UNSEEN, "--episodes", 40, "--log", "d.mcap"]
+    with files_of_at_most(60_000):
+        assert call(bc_drive, "first", *line) == 1
+    shown = capsys.readouterr()
+    assert "cannot be written any further (File too large)" in shown.err
+    assert shown.out.count("seed") < 40
 
 
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:

@@ -113,6 +113,14 @@ def test_what_a_bend_takes_off_is_not_missing_on_the_straight_behind_it() -> Non
     assert slowed.throttle(19.0) == plain.throttle(19.0)
 
 
+def test_the_first_throttles_are_those_of_the_formula() -> None:
+    """0.1 a mph too slow, and 0.002 a mph summed over the telemetries so far, this one included."""
+    controller = SpeedController(9.0)
+    assert controller.throttle(4.0) == pytest.approx(0.1 * 5 + 0.002 * 5)
+    assert controller.throttle(6.0) == pytest.approx(0.1 * 3 + 0.002 * (5 + 3))
+    assert controller.throttle(10.0) == pytest.approx(0.1 * -1 + 0.002 * (5 + 3 - 1))
+
+
 @pytest.mark.parametrize("telemetries", [1_000, 10_000])
 def test_a_long_climb_does_not_wind_up_a_throttle_that_outlasts_it(telemetries: int) -> None:
     controller = SpeedController(10.0)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -61,6 +62,14 @@ def test_the_checksum_is_that_of_the_file_with_zeros_in_its_place(trained: Path)
         data = path.read_bytes()
         assert data.count(stored.encode()) == 1
         assert hashlib.sha256(data.replace(stored.encode(), b"0" * 64)).hexdigest() == stored
+
+
+@pytest.mark.parametrize(("name", "hole_bytes"), [("model.safetensors", 1 << 29), ("last", 1 << 42)])
+def test_a_file_too_large_for_its_network_is_not_read(run: Path, name: str, hole_bytes: int) -> None:
+    path = checkpoint(run) if name == "last" else weights(run)
+    os.truncate(path, hole_bytes)
+    with pytest.raises(RunError, match=rf"{path.name}: cannot be read \(.*larger than 2\d\d MB"):
+        load_pilot(run / "last" if name == "last" else run)
 
 
 def test_others_read_the_weights_as_they_are(trained: Path) -> None:

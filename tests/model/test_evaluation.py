@@ -260,6 +260,17 @@ def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.Captu
     assert lines[-1] == "measured on the frames held out of index"
 
 
+def test_the_name_of_a_run_is_no_markup(
+    cwd: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(cwd / "runs" / "toy", tmp_path / "[red]toy")
+    monkeypatch.setenv("COLUMNS", "200")
+    assert call(main, run, "--index", "index", "--worst", 0) == 0
+    shown = capsys.readouterr().out
+    assert shown.splitlines()[0].strip().startswith("[red]toy: ")
+    assert "worst" not in shown
+
+
 def test_the_worst_frames_come_with_the_commands_that_show_them(
     cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

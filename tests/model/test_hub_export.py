@@ -162,6 +162,19 @@ def test_of_a_run_that_says_nothing_the_card_says_so(
     assert "model-index" not in front_matter(tmp_path / "hub")
 
 
+def test_text_of_others_is_no_markup(trained: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(trained, tmp_path / "a|b")
+    config = json.loads((run / "config.json").read_text())
+    name, log = next(iter(config["data"]["logs"].items()))
+    config["data"]["logs"] = {"<script>\n|": log, "[x](y)": {}, name: {"fingerprint": "`"}}
+    (run / "config.json").write_text(json.dumps(config))
+    folder = export_to_hub(run, tmp_path / "hub", licence="x: [y]").folder
+    shown = section(folder, "What it learnt from")
+    assert r"| \<script\>\\n\| |" in shown
+    assert r"| \[x\](y) |" in shown
+    assert front_matter(folder)["license"] == "x: [y]"
+
+
 def test_nothing_is_overwritten_and_nothing_is_left_half(
     trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

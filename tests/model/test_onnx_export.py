@@ -25,6 +25,7 @@ from model.cli import main
 from model.onnx_export import export_onnx
 from model.runs.run_folder import save_weights
 from tests.helpers.bucket import Bucket
+from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from tests.helpers.exports import export
 from tests.helpers.repository import ROOT
@@ -259,3 +260,13 @@ def test_without_its_packages_the_error_says_how_to_get_them(
     with pytest.raises(RunError, match=r"`pip install .*\[onnx\].*`"):
         export_onnx(trained, tmp_path / "first.onnx")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_what_was_there(trained: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.onnx"
+    mine.write_text("mine")
+    says = r"mine\.onnx: cannot be written \(File too large\); make room"
+    with files_of_at_most(1_000_000), pytest.raises(RunError, match=says):
+        export_onnx(trained, mine, overwrite=True)
+    assert list(tmp_path.iterdir()) == [mine]
+    assert mine.read_text() == "mine"

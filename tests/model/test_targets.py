@@ -18,7 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from common.car import Camera
-from dataset import IndexConfig, SamplesDataset, build_index, decode, load
+from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, decode, load
 from dataset.prediction_targets import TargetName
 from model import RunError, TrainConfig, export_onnx, load_pilot, predict_log, train
 from model.adam import Adam
@@ -331,6 +331,11 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     with pytest.raises(RunError, match="no session has a speed"):
         train(tmp_path / "index", tmp_path / "none", settings)
     assert not (tmp_path / "none").exists()
+
+
+def test_an_index_of_the_version_before_has_no_labels_of_others(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"format 4, without labels of speed, throttle; run `bc-index` again"):
+        train(before(folder / "index", tmp_path), tmp_path / "run", QUICK)
 
 
 def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, tmp_path: Path) -> None:

@@ -105,6 +105,15 @@ def test_without_held_out_frames_there_is_the_loss_alone(tmp_path: Path) -> None
     assert set(written(run).Tags()["scalars"]) == {"epoch", "loss/training", "loss/steps", "samples_per_s"}
 
 
+def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    run = write_run(tmp_path / "first", 1)
+    (run / "tensorboard").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RunError, match="tensorboard: a link"):
+        TensorBoard(run).epoch(read_history(run)[0].epochs[-1])
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
 def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path: Path) -> None:
     run, steps = tmp_path / "first", read_history(write_run(tmp_path / "whole", 1))[0].steps
     board = TensorBoard(run)

@@ -18,7 +18,7 @@ from model import RunError, Verdict, judge
 from model.metrics import Measures, measure
 from model.runs.advice import advice
 from model.runs.answer_scale import AnswerScale
-from model.runs.enough_to_drive import EDGES, ON_ONE, STUDY, Hand, drivable
+from model.runs.enough_to_drive import EDGES, ON_ONE, STUDY, Hand, drivable, wilson_interval
 from model.runs.kept_results import keep_result
 from model.runs.run_numbers import RunNumbers, run_numbers
 from model.runs.training_progress import Epoch
@@ -186,6 +186,14 @@ def test_the_counts_are_those_of_the_study() -> None:
             [row["value"] for row in of_one if bool(left[row["network"]]) is is_left] for is_left in (True, False)
         )
         assert ON_ONE[hand] == (round(min(has_left), 2), round(max(has_stayed), 2))
+
+
+def test_wilsons_interval() -> None:
+    """As in Wilson's formula worked out by hand for 0 of 10: z² / (n + z²)."""
+    low, high = wilson_interval(0, 10)
+    assert (low, high) == pytest.approx((0.0, 1.96**2 / (10 + 1.96**2)))
+    low, high = wilson_interval(15, 24)
+    assert low < 15 / 24 < high
 
 
 def a_session(**labels: Any) -> dict[str, Any]:

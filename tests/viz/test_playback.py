@@ -22,6 +22,7 @@ from tests.helpers.rrd import contents, view_names
 from tests.helpers.udacity import call
 from viz import save_rrd
 from viz.cli import main
+from viz.rrd_file import rrd_file
 
 ROWS = 40
 START_NS = 1_767_225_600 * 10**9
@@ -269,3 +270,13 @@ def test_a_log_behind_connect_is_told_where_it_belongs(
     (tmp_path / "a b.mcap").touch()
     assert call(main, *words) == 2
     assert capsys.readouterr().err == f"bc-play: --connect takes one address; put it after the logs: {says}\n"
+
+
+def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path) -> None:
+    path = tmp_path / "a.rrd"
+    with (
+        pytest.raises(UserError, match="written by another process at the same time"),
+        rrd_file(path, overwrite=False),
+    ):
+        path.write_bytes(b"precious")
+    assert path.read_bytes() == b"precious"

@@ -51,3 +51,10 @@ def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
     assert bench.get(f"{at}/state").json["rows"] == 3
     assert "b\\udcffd" in bench.get(at, Accept="text/html").text
     assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes there")
+def test_a_pipe_in_place_of_a_runs_settings_blocks_no_page(bench: Served) -> None:
+    (bench.folder / "runs" / "pipe").mkdir()
+    os.mkfifo(bench.folder / "runs" / "pipe" / "config.json")
+    assert bench.get("/sessions/a/links").status == 200

@@ -101,6 +101,15 @@ def test_what_cannot_be_is_refused_with_the_reason(
     assert lines(log) == []
 
 
+def test_only_json_changes_anything(bench: Served, log: Path) -> None:
+    """A form of another page can send text, but not this type."""
+    body = json.dumps({"action": "add", "name": "exclude", "rows": [[3, 9]], "log": "x"}).encode()
+    assert bench.ask("POST", "/sessions/a/tags", body, Content_Type="text/plain").status == 415
+    assert bench.ask("POST", "/sessions/a/tags", b"{", Content_Type="application/json").status == 422
+    assert bench.ask("PUT", "/sessions/a/tags", b"{}", Content_Type="application/json").status == 405
+    assert lines(log) == []
+
+
 def test_a_new_name_that_is_nearly_an_old_one_is_noticed(bench: Served, log: Path) -> None:
     assert change(bench, name="exlude").json["notice"] == "new tag 'exlude'. did you mean exclude?"
     assert change(bench, name="exlude", rows=[[50, 60]]).json["notice"] == ""
