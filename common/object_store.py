@@ -108,6 +108,14 @@ def put_over(url: Url, data: bytes) -> None:
         obstore.put(store_of(url, True), url.key, data)
 
 
+def put_file_over(url: Url, file: Path) -> str:
+    """Upload a file atomically, replacing an existing object. Returns the object's version. Raises OSError."""
+    is_large = file.stat().st_size > MAX_IN_ONE_REQUEST
+    with as_store_error(url):
+        result = obstore.put(store_of(url, True), url.key, file, use_multipart=is_large)
+    return (result["e_tag"] or "").strip('"')
+
+
 def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVersion:
     """Upload a file atomically. It replaces only the version `replaces`; with None, no object may exist.
 

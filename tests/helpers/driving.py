@@ -33,6 +33,7 @@ COMMANDS = (
     "bc-record",
     "bc-import",
     "bc-log",
+    "bc-copy",
     "bc-index",
     "bc-train",
     "bc-runs",
