@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, overload
 
 import msgspec
 
@@ -42,6 +42,14 @@ def lag_note(finding: LagFinding) -> dict[str, str]:
 def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
     """The lag from a log's summary of its rows; None if its writer did not measure it."""
     return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
+
+
+@overload
+def lag_path(log: Path) -> Path: ...
+
+
+@overload
+def lag_path(log: Url) -> Url: ...
 
 
 def lag_path(log: Location) -> Location:

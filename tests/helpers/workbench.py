@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
-from common.location import Location
 from driving import PATIENCE_S, Process
 from pages import TOKEN
 from waiting import wait_until
@@ -95,8 +94,8 @@ def served(
     folder: Path,
     host: str = "127.0.0.1",
     token: str = TOKEN,
-    at: Location | None = None,
-    drives: Location | None = None,
+    at: Path | None = None,
+    drives: Path | None = None,
     port: int = 0,
 ) -> Iterator[Served]:
     """The workbench over the folders of a project, which is `at` another place if one is given, as may be its
