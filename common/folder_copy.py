@@ -19,7 +19,7 @@ from common.errors import ObjectExistsError, StoreError, UserError
 from common.files import PART_SUFFIX, new_folder
 from common.location import Url
 from common.object_file import ObjectFile
-from common.object_store import OnBytes, StoredObject, list_below, put_file_over, put_over, read_object
+from common.object_store import OnBytes, StoredObject, list_below, put_file, put_over, read_object
 from common.progress import progress_bar, progress_task
 from common.tasks import in_threads
 from common.untrusted_json import json_as
@@ -92,7 +92,7 @@ class FolderUpload:
     def _put(self, name: str, file: _Entry, on_bytes: OnBytes) -> _Entry:
         path = self._folder / name
         for _ in range(_MAX_ATTEMPTS):
-            self._versions[name] = put_file_over(self.url.joined(name), path)
+            self._versions[name] = put_file(self.url / name, path)
             status = path.stat()
             if (status.st_size, status.st_mtime_ns) == (file.size, file.mtime_ns):
                 on_bytes(file.size)
@@ -147,7 +147,7 @@ def _download_file(there: StoredObject, path: Path, recorded: _Entry | None, on_
             stream.write(data)
             on_bytes(len(data))
     mtime_ns = there.written_ns
-    if recorded is not None and _version_of(recorded) == source.version.name:
+    if recorded is not None and _version_of(recorded) == source.e_tag.strip('"'):
         if recorded.sha256 not in ("", content.hexdigest()):
             raise StoreError(f"{there.url}: damaged: its content has another checksum than when it was copied")
         mtime_ns = recorded.mtime_ns  # the newest run is the one with the newest weights

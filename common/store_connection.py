@@ -7,9 +7,7 @@ request, with growing pauses, if the store does not answer, answers 5xx, or the 
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterator
 from datetime import timedelta
 from functools import cache
 from typing import TYPE_CHECKING, Final
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
 _used_by = 0  # ID of the process that first used a store
-_is_hurried = False
 
 # The first request of a process to a bucket fails within seconds. Later requests, for example of a long training,
 # wait a minute for the network.
@@ -37,8 +34,6 @@ _PATIENT: Final[RetryConfig] = {
     "retry_timeout": timedelta(seconds=90),
     "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=15), "base": 2},
 }
-_TIMEOUT: Final = timedelta(minutes=5)  # for a request and all bytes of its answer
-_HURRIED: Final = timedelta(seconds=15)
 
 
 def forget_stores() -> None:
@@ -56,13 +51,13 @@ def store_of(url: Url, is_patient: bool) -> ObjectStore:
             ' (a DataLoader: multiprocessing_context="spawn")'
         )
     _used_by = os.getpid()
-    return _bucket(url.scheme, url.bucket, is_patient and not _is_hurried, _HURRIED if _is_hurried else _TIMEOUT)
+    return _bucket(url.scheme, url.bucket, is_patient)
 
 
 @cache
-def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> ObjectStore:
+def _bucket(scheme: str, bucket: str, is_patient: bool) -> ObjectStore:
     client: ClientConfig = {
-        "timeout": timeout,
+        "timeout": timedelta(minutes=5),  # for a request and all bytes of its answer
         "connect_timeout": timedelta(seconds=5),
         "allow_http": True,  # for an endpoint that the user names; the default endpoints are https://
     }
@@ -73,14 +68,3 @@ def _bucket(scheme: str, bucket: str, is_patient: bool, timeout: timedelta) -> O
         retry_config=_PATIENT if is_patient else _IMPATIENT,
     )
     return store
-
-
-@contextlib.contextmanager
-def hurried() -> Iterator[None]:
-    """Let every request of this process fail within seconds. For a web server: a user waits for the answer."""
-    global _is_hurried
-    before, _is_hurried = _is_hurried, True
-    try:
-        yield
-    finally:
-        _is_hurried = before

@@ -45,8 +45,6 @@ def _s3_settings() -> dict[str, Any]:
     environment = os.environ
     # the toolkit deletes one object at a time, and not every store supports bulk deletion
     config: dict[str, Any] = {"disable_bulk_delete": True}
-    if "AWS_COPY_IF_NOT_EXISTS" not in environment:
-        config["copy_if_not_exists"] = "multipart"
     profile = _aws_profile()
     if "AWS_ACCESS_KEY_ID" not in environment:
         config |= {name: profile[name] for name in map(str.lower, _S3_KEYS) if name in profile}

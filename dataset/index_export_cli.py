@@ -11,7 +11,6 @@ import tyro
 
 from common.allowed_places import allow_places
 from common.command import run_command
-from common.location_flag import LocationFlag
 from recorder.log_export_cli import print_exported, refuse_no_text
 
 
@@ -21,9 +20,9 @@ class ExportIndex:
 
     lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The new folder of the dataset."""
-    index: LocationFlag = Path("index")
+    index: Path = Path("index")
     """The index."""
-    sessions: LocationFlag = Path("sessions")
+    sessions: Path = Path("sessions")
     """Folder of the logs, for an index that was built elsewhere."""
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
     """Only rows that meet this condition on the index's columns."""

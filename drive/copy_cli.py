@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Final
+from typing import Annotated, Final, overload
 
 import tyro
 
@@ -69,7 +69,7 @@ def _upload(source: Path, target: Url, config: CopyPlaces) -> int:
         return _copy_logs(source.parent, [PurePosixPath(source.name)], target, config.force)
     folders, logs = _parts(source, local_files(source))
     code = _copy_logs(source, logs, target, config.force)
-    uploads = {folder: FolderUpload(source / folder, target.joined(str(folder))) for folder in folders}
+    uploads = {folder: FolderUpload(source / folder, _below(target, folder)) for folder in folders}
     targets = [(folder, upload.url) for folder, upload in uploads.items()]
     is_followed = config.follow and _is_any_trained(source, folders)  # asked before: what follows is copied again
     copied = _copy_folders(targets, lambda folder: uploads[folder].copy(overwrite=config.force))
@@ -100,7 +100,7 @@ def _download(source: Url, target: Path, config: CopyPlaces) -> int:
     code = _copy_logs(source, logs, target, config.force)
     copied = _copy_folders(
         [(folder, target / folder) for folder in folders],
-        lambda folder: download_folder(source.joined(str(folder)), target / folder, unfinished=config.unfinished),
+        lambda folder: download_folder(_below(source, folder), target / folder, unfinished=config.unfinished),
     )
     return _worst(code, copied)
 
@@ -133,8 +133,16 @@ def _worst(*codes: int) -> int:
     return FAILED if FAILED in codes else max(codes)
 
 
+@overload
+def _below(place: Path, name: PurePosixPath) -> Path: ...
+
+
+@overload
+def _below(place: Url, name: PurePosixPath) -> Url: ...
+
+
 def _below(place: Location, name: PurePosixPath) -> Location:
-    return place.joined(str(name)) if isinstance(place, Url) else place / name
+    return place / str(name) if name.parts else place
 
 
 def _copy_folders(

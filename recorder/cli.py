@@ -11,7 +11,6 @@ from typing import Annotated, ClassVar, Final
 import tyro
 
 from common.command import run_command
-from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import REMOVED_GYM_FLAGS, GymFlags
 from recorder.sources.settings import SimulatedDrive
 
@@ -28,7 +27,7 @@ class Record:
     bc-record live --listen --viewer
     """
 
-    RARE: ClassVar[str] = "idle host port udacity copy_to page wander"
+    RARE: ClassVar[str] = "idle host port udacity page wander"
     REMOVED: ClassVar[Mapping[str, str]] = {
         **REMOVED_GYM_FLAGS,
         **{flag: f"`bc-import SOURCE {flag}` has it" for flag in _IMPORT_FLAGS},
@@ -51,12 +50,10 @@ class Record:
     """Rows a second; built-in: 10 or another divisor of 50."""
     udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Also write the simulated drive as a Udacity recording."""
-    sessions: LocationFlag = Path("sessions")
-    """Folder of the logs, or a URL for copies."""
+    sessions: Path = Path("sessions")
+    """Folder of the logs."""
     force: bool = False
     """Replace a session of the same name."""
-    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Also copy the finished log to this store."""
     open: bool = False
     """With --driver me: open the browser."""
     page: bool = True

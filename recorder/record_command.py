@@ -34,14 +34,7 @@ def record(config: Record) -> int:
     """Record a session, and print what is in its log. Returns the exit code."""
     check_name(config.name)
     _check(config)
-    return make_session(
-        config.name,
-        lambda log: _record_to(config, log),
-        sessions=config.sessions,
-        copy_to=config.copy_to,
-        force=config.force,
-        prog="bc-record",
-    )
+    return make_session(config.sessions / f"{config.name}.mcap", lambda log: _record_to(config, log))
 
 
 def _record_to(config: Record, log: Path) -> Imported:
@@ -115,7 +108,7 @@ _FLAGS_OF: Final[Mapping[str, frozenset[str]]] = {
     "--gym ID": frozenset({"gym", "expert", "episodes", "wander", "seed", "rate", "car"}),
 }
 """What can be recorded, and the flags that each uses. All use the flags of the log."""
-_OF_THE_LOG: Final = frozenset({"name", "sessions", "force", "copy_to", "drive", "environment"})
+_OF_THE_LOG: Final = frozenset({"name", "sessions", "force", "drive", "environment"})
 
 
 def _recorded(config: Record) -> str:

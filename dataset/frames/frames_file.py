@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from common.allowed_places import AllowedPlaces
 from common.errors import UserError, printable
 from common.files import session_name
-from common.location import Location, Url, absolute, location, relative_to
+from common.location import Location, location, relative_to
+from common.untrusted import real_path
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, PlaceNotAllowedError
 from dataset.frames.image_check_cache import read_image_check
@@ -89,23 +90,21 @@ def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
     return {} if file == fingerprint else {"file": file}
 
 
-def log_place(name: str, index: Location) -> Location:
+def log_place(name: str, index: Path) -> Location:
     """The place of a log, from its name in an index. Raises DatasetError for an invalid name."""
     try:
-        if "://" in name:
-            return location(name)
-        return index.joined(name) if isinstance(index, Url) else index / name
-    except (UserError, ValueError) as error:
+        return location(name) if "://" in name else index / name
+    except UserError as error:
         raise DatasetError(
             f"{index}: the index has an invalid name of a log ({error}); run `bc-index` again"
         ) from None
 
 
-def refuse_other_places(logs: Mapping[str, str], index: Location) -> None:
+def refuse_other_places(logs: Mapping[str, str], index: Path) -> None:
     """Raise PlaceNotAllowedError if a log (by session) is outside the places that the index may refer to
     (`common.allowed_places`). No file is opened for this."""
     allowed = AllowedPlaces(index, index_project(index))
-    index_place = absolute(index)
+    index_place = real_path(index)
     for session, name in logs.items():
         place = allowed.outside(log_place(name, index_place))
         if place is not None:
@@ -117,9 +116,9 @@ def refuse_other_places(logs: Mapping[str, str], index: Location) -> None:
             )
 
 
-def index_project(index: Location) -> Location:
+def index_project(index: Path) -> Path:
     """The folder that contains an index, and usually its sessions."""
-    return absolute(index).parent
+    return real_path(index).parent
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:

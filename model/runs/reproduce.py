@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 
 from common.errors import UsageError, first_of
-from common.location import Location, absolute, local_path
-from common.random_access import file_exists
+from common.location import Location, absolute
 from common.stored_settings import settings_from
+from common.untrusted import real_path
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.errors import PlaceNotAllowedError
 from dataset.frames.frames_file import check_where
@@ -25,8 +25,8 @@ from model.runs.run_inputs import log_to_open, logs_of
 
 
 def index_of_run(
-    run: Path, index: Location, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
-) -> Location:
+    run: Path, index: Path, sessions: Path, on_notice: Callable[[str], object] = lambda notice: None
+) -> Path:
     """An index of the samples that `run` was trained on: `index` itself, or one that is built next to `index` from
     the run's settings and logs. The logs are in `sessions`, or where they were during training.
 
@@ -34,7 +34,7 @@ def index_of_run(
     DatasetError if a log is missing; LogError if a log cannot be read.
     """
     stored = load_config(run)
-    index = absolute(index)
+    index = real_path(index)
     own = index.with_name(f"{index.name}-{run_name(run)}")
     for place in (index, own):
         if _is_of(place, stored, run):
@@ -43,14 +43,14 @@ def index_of_run(
     before = logs_of(run)
     logs = [
         str(log_to_open(run, name, before[name]))
-        if name in before and not file_exists(sessions / f"{name}.mcap")
+        if name in before and not (sessions / f"{name}.mcap").is_file()
         else name
         for name in fingerprints
     ]
     found = find_logs(logs, sessions)
     if changed := changed_logs(found, fingerprints):
         raise RunError(f"{sessions}: {first_of(changed)} changed since {run} was trained on them")
-    for notice in build_index(found, local_path(own), settings).notices:
+    for notice in build_index(found, own, settings).notices:
         on_notice(notice)
     with Samples(own) as samples:
         if not is_trained_on(stored, run, samples):
@@ -65,8 +65,8 @@ def index_of_run(
 def logs_with_takeovers(
     run: Path,
     takeovers: Sequence[Location],
-    sessions: Location,
-    drives: Location,
+    sessions: Path,
+    drives: Path,
     on_notice: Callable[[str], object] = lambda notice: None,
 ) -> tuple[list[Location], list[Location], IndexConfig]:
     """The logs that `run` was trained on, those of `takeovers` that are not among them, and the settings of the
@@ -80,7 +80,7 @@ def logs_with_takeovers(
     logs: list[Location] = []
     for name, fingerprint in fingerprints.items():
         drive = drives / f"{name}.mcap"
-        is_drive = file_exists(drive) and not file_exists(sessions / drive.name)
+        is_drive = drive.is_file() and not (sessions / drive.name).is_file()
         logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
     takeovers = find_logs(takeovers, drives)
     learned = set(map(absolute, logs))
@@ -93,7 +93,7 @@ def logs_with_takeovers(
     return logs, new, replace(settings, drives="takeovers")
 
 
-def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:
+def _is_of(index: Path, stored: dict[str, Any], run: Path) -> bool:
     """True if the index is readable and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:

@@ -13,8 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bucket import Bucket
-from common.location import Location, Url
-from dataset import DatasetError, Samples, load
+from dataset import DatasetError, Samples
 from driving import one_line_of, run, run_code
 from toy import toy_index
 from workbench import served
@@ -137,13 +136,8 @@ def test_the_workbench_shows_why_a_log_is_not_opened(project: Path, opened: Open
     assert opened.files == []
 
 
-@pytest.mark.parametrize("place", ["disk", "store"])
-def test_no_other_bucket_is_asked_for_a_log(bucket: Bucket, tmp_path: Path, place: str) -> None:
+def test_no_bucket_is_asked_for_a_log_of_a_copied_index(bucket: Bucket, tmp_path: Path) -> None:
     index = copied(tmp_path / "project", "s3://other/toy.mcap")
-    where: Location = index
-    if place == "store":
-        shutil.copytree(index, bucket.folder / "index")
-        where = Url("s3", "logs", "index")
     asked: list[str] = []
 
     def note(handler: Any) -> bool:
@@ -152,14 +146,5 @@ def test_no_other_bucket_is_asked_for_a_log(bucket: Bucket, tmp_path: Path, plac
 
     bucket.answer = note
     with pytest.raises(DatasetError, match=r"names s3://other/toy\.mcap as .* --sessions s3://other/$"):
-        Samples(where)
-    assert not any("other" in path for path in asked)
-    assert bool(asked) == (place == "store")
-
-
-def test_logs_in_the_bucket_of_a_copied_index_are_opened(bucket: Bucket, tmp_path: Path) -> None:
-    index = copied(tmp_path / "project", "../anywhere/toy.mcap")
-    shutil.copytree(index, bucket.folder / "index")
-    shutil.copytree(tmp_path / "private", bucket.folder / "anywhere")
-    with load("s3://logs/index") as loader:
-        assert len(loader) > 0
+        Samples(index)
+    assert asked == []

@@ -19,7 +19,6 @@ import pytest
 from safetensors.numpy import load_file, save_file
 from safetensors.torch import load_file as load_tensors
 
-from bucket import Bucket
 from dataset import decode
 from dataset.preprocessing import Image
 from disk import files_of_at_most
@@ -220,16 +219,6 @@ def test_a_file_is_replaced_only_if_that_is_asked_for(
     assert mine.read_text() == "mine"
     assert call(main, *line, "--force") == 0
     assert mine.read_bytes() == exported.read_bytes()
-
-
-def test_a_run_of_a_store_is_exported_here(
-    trained: Path, exported: Path, bucket: Bucket, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stored = shutil.copytree(trained, bucket.folder / "runs" / "first")
-    before = sorted(stored.iterdir())
-    assert call(main, "export", "first", "--onnx", "--runs", "s3://logs/runs") == 0
-    assert Path("first.onnx").read_bytes() == exported.read_bytes()
-    assert sorted(stored.iterdir()) == before
 
 
 # Runs that cannot be exported

@@ -28,10 +28,9 @@ def run_that_names(project: Path, index: str, **values: object) -> Path:
     return made
 
 
-@pytest.mark.parametrize("index", ["../../../private/index", "s3://private/index"])
-def test_a_copied_run_opens_no_index_outside_of_its_project(project: Path, index: str) -> None:
+def test_a_copied_run_opens_no_index_outside_of_its_project(project: Path) -> None:
     toy_index(project.parent / "private")
-    made = run_that_names(project, index)
+    made = run_that_names(project, "../../../private/index")
     with pytest.raises(RunError, match=r"as its index, which is not in its project.* --index ") as error:
         allowed_index_of(made)
     assert "\n" not in str(error.value)
@@ -51,6 +50,14 @@ def test_a_copied_run_in_its_project_needs_no_flags(project: Path) -> None:
     made = run_that_names(project, "../../index")
     assert allowed_index_of(made) == Path("index")
     assert sessions_of(made) == Path()
+
+
+def test_an_index_in_a_store_is_to_be_brought_first(project: Path) -> None:
+    made = run_that_names(project, "s3://lab/index")
+    for command in (("bc-train", "--resume", made), ("bc-eval", made)):
+        refused = run(*command, cwd=project)
+        assert refused.returncode == 1
+        assert "`bc-copy s3://lab/index index`, and give --index index" in one_line_of(refused)
 
 
 def test_an_index_that_is_gone_is_nobodys(project: Path) -> None:

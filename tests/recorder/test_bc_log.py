@@ -409,9 +409,9 @@ def test_what_is_not_whole_in_every_byte_is_recovered(
 
 
 def test_a_new_tag_is_said_with_what_may_have_been_meant(
-    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = place(write_log(tmp_path / "a.mcap", [0.1] * 5))
+    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
     told: list[tuple[str, str]] = [
         ("exclud", "new tag 'exclud'; did you mean exclude?\n"),
         ("recovery", "new tag 'recovery'\n"),
@@ -422,7 +422,7 @@ def test_a_new_tag_is_said_with_what_may_have_been_meant(
         assert call(main, "tag", path, name, "--rows", 1, 2) == 0
         *lines, advice = capsys.readouterr().err.splitlines(keepends=True)
         assert ("".join(lines), advice[:7]) == (line, "next: `")
-    other = place(write_log(tmp_path / "b.mcap", [0.2] * 5))  # names of the logs beside it are known, too
+    other = write_log(tmp_path / "b.mcap", [0.2] * 5)  # names of the logs beside it are known, too
     assert call(main, "tag", other, "recovery", "--rows", 1, 2) == 0
     assert "new tag" not in capsys.readouterr().err
     assert call(main, "tag", other, "recovry", "--rows", 1, 2) == 0
