@@ -33,7 +33,10 @@ class Train:
     """
 
     RARE: ClassVar[str] = "tensorboard listener sessions drives"
-    REMOVED: ClassVar[Mapping[str, str]] = {"--ray": "one training is one process; leave it out"}
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        "--ray": "one training is one process; leave it out",
+        "--copy-to": "`bc-copy runs/NAME s3://BUCKET/runs/NAME --follow` copies the run while it is trained",
+    }
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the run; by default date, time and six random digits."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None

@@ -30,6 +30,7 @@ class Record:
     RARE: ClassVar[str] = "idle host port udacity page wander"
     REMOVED: ClassVar[Mapping[str, str]] = {
         **REMOVED_GYM_FLAGS,
+        "--copy-to": "copy it with `bc-copy FROM s3://BUCKET/FOLDER`",
         **{flag: f"`bc-import SOURCE {flag}` has it" for flag in _IMPORT_FLAGS},
     }
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]

@@ -36,11 +36,8 @@ class CopyLogs:
         logs, to = [named_log(place, takes_folders=True) for place in self.places[:-1]], self.places[-1]
         code = copy_logs(logs, to, overwrite=self.force)
         if code != FAILED:
-            index = f" --index {shlex.quote(str(to.parent / 'index'))}" if isinstance(to, Url) else ""
-            is_log = to.suffix == ".mcap"
-            print_next(
-                f"bc-{'log check' if is_log else 'index --sessions'} {shlex.quote(str(to))}{index * (not is_log)}"
-            )
+            verb = "log check" if to.suffix == ".mcap" else "index --sessions"
+            print_next(f"bc-{verb} {shlex.quote(str(to))}")
         return code
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from common import UserError
 from common.allowed_places import AllowedPlaces, remember_places
-from common.store_settings import store_settings
+from common.store_connection import store_settings
 from common.users_cache import users_cache
 
 

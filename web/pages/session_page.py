@@ -189,7 +189,7 @@ def _shown_log_jobs(log: Path) -> list[dict[str, Any]]:
     return [
         {
             "job": job,
-            "new": shown_name(job.made(log)) if job.made and job.is_named and isinstance(log, Path) else "",
+            "new": shown_name(job.made(log)) if job.made and job.is_named else "",
         }
         for job in LOG_JOBS
     ]
