@@ -55,7 +55,9 @@ def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
         shown = dict(zip(scripts, pool.map(help_of, scripts), strict=True))
         subcommands = [f"{name} {sub}" for name, text in shown.items() for sub in re.findall(r"• (\w+) ", text)]
         with_subcommands = {name.split()[0] for name in subcommands}
-        subcommands += ["bc-train export", "bc-index export"]  # not shown by tyro: each has a main of its own
+        subcommands += [  # not shown by tyro
+            *("bc-record me", "bc-record listen", "bc-record gym", "bc-train export", "bc-index export")
+        ]
         texts = zip(subcommands, pool.map(help_of, subcommands), strict=True)
         return {name: text for name, text in shown.items() if name not in with_subcommands} | dict(texts)
 

@@ -32,7 +32,7 @@ def check_pedals(car: GymnasiumCar) -> None:
     """Raise DriveError if nothing can work the pedals, because a network only steers."""
     if car.actions.has_pedals and not (car.has_speed or car.has_expert):
         raise DriveError(
-            f"--gym: action {car.actions.text}: the network only steers; for the pedals give the environment's key"
+            f"action {car.actions.text}: the network only steers; for the pedals give the environment's key"
             " of the speed (the toolkit then holds --speed), or --expert MODULE:FUNCTION, or constants in the"
             " action (steering,0.1,0)"
         )

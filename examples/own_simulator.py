@@ -1,6 +1,6 @@
 """A simulator of one's own in 60 lines: a winding road, one camera, and a driver to record.
 
-With `bc-record mine --listen` it drives itself; with `bc-drive mine` a network drives it.
+With `bc-record listen mine` it drives itself; with `bc-drive mine` a network drives it.
 """
 
 import math

@@ -1,13 +1,13 @@
-"""The work of `bc-record`: it records, and prints what is in the log."""
+"""The work of `bc-record` and its verbs: each records, and prints what is in the log."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from common.command import check_port, flags_given, usage_errors
 from common.errors import UsageError
@@ -21,147 +21,120 @@ from recorder.session_names import check_name
 from recorder.sources.built_in_simulator import check_drive, record_simulated
 from recorder.sources.frame_rate import check_row_rate
 from recorder.sources.imported_rows import Imported
-from recorder.sources.settings import ListenSettings, SimulatedDrive
+from recorder.sources.settings import ListenSettings, PersonDrive, SimulatedDrive
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 
 if TYPE_CHECKING:
-    from recorder.cli import Record
-    from recorder.sources.record_gymnasium import GymRecording
+    from recorder.cli import LogFlags, Record, RecordGym, RecordListening, RecordMe
     from recorder.teleop.wheel import Wheel
 
 
 def record(config: Record) -> int:
-    """Record a session, and print what is in its log. Returns the exit code."""
-    check_name(config.name)
-    _check(config)
-    return make_session(config.sessions / f"{config.name}.mcap", lambda log: _record_to(config, log))
+    """Record a driver of the built-in simulator. Returns the exit code, as the other verbs do."""
+    with usage_errors(RecordingError):
+        check_drive(config.drive)
 
-
-def _record_to(config: Record, log: Path) -> Imported:
-    car = None if config.car is None else named_car(config.car)
-    with contextlib.ExitStack() as stack:
-
-        def show(growing: Path) -> None:
-            if config.viewer:
-                stack.enter_context(preview(growing, idle_priority=True))
-
-        settings = ListenSettings(config.host, config.port, config.idle, car, show)
-        if config.drive.driver == "me":
-            return _record_at_the_wheel(config, log, settings)
-        if config.listen:
-            from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
-
-            return listen_for_telemetry(log, settings, overwrite=config.force)
-        if config.environment.gym is not None:
-            from recorder.sources.record_gymnasium import record_gymnasium
-
-            return record_gymnasium(replace(_gym_recording(config), car=car), log, overwrite=config.force)
+    def write(log: Path) -> Imported:
         if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps bc-import was meant
             print_message(
                 f"bc-record: the built-in simulator's expert drives {config.drive.track};"
                 " `bc-import FOLDER` imports a recording"
             )
-        return record_simulated(_drive_of(config), log, udacity=config.udacity, overwrite=config.force)
+        return record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.log.force)
+
+    return _make_session(config.name, config.log, write)
 
 
-def _record_at_the_wheel(config: Record, log: Path, settings: ListenSettings) -> Imported:
-    """Record a person in the built-in simulator, or, with --listen, in one that connects."""
-    with contextlib.ExitStack() as stack:
+def record_me(config: RecordMe) -> int:
+    from recorder.sources.record_person import record_person
 
-        def serve_page(wheel: Wheel) -> None:
+    _check_person(config.drive)
+
+    def write(log: Path) -> Imported:
+        with contextlib.ExitStack() as stack:
+            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
+            done = record_person(config.drive, log, overwrite=config.log.force, on_wheel=on_wheel)
             if config.page:
-                stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=config.open))
+                wait_until_left(done.path)
+            return done
 
-        if config.listen:
-            from recorder.sources.person_of_telemetry import listen_at_the_wheel  # Socket.IO: a second to load
-
-            speed_mph = config.drive.speed[0]
-            done = listen_at_the_wheel(settings, log, speed_mph, overwrite=config.force, on_wheel=serve_page)
-        else:
-            from recorder.sources.record_person import record_person  # OpenCV
-
-            done = record_person(_drive_of(config), log, overwrite=config.force, on_wheel=serve_page)
-        if config.page:
-            wait_until_left(done.path)
-        return done
+    return _make_session(config.name, config.log, write)
 
 
-def _drive_of(config: Record) -> SimulatedDrive:
-    return config.drive if config.rate is None else replace(config.drive, rate=config.rate)
-
-
-def _gym_recording(config: Record) -> GymRecording:
-    from recorder.sources.record_gymnasium import GymRecording
-
-    return GymRecording(config.environment, config.drive.seed, config.rate, config.wander)
-
-
-_BUILT_IN: Final = "the built-in simulator"
-_LISTEN: Final = frozenset({"listen", "idle", "viewer", "host", "port", "car"})
-_AT_THE_WHEEL: Final = frozenset({"driver", "speed", "open", "page"})
-_ROAD: Final = frozenset({"track", "laps", "rate"})
-_FLAGS_OF: Final[Mapping[str, frozenset[str]]] = {
-    _BUILT_IN: _ROAD | {"driver", "speed", "recovery", "noise", "seed", "udacity"},
-    "--driver me": _ROAD | _AT_THE_WHEEL | {"start"},
-    "--listen": _LISTEN,
-    "--listen --driver me": _LISTEN | _AT_THE_WHEEL,
-    "--gym ID": frozenset({"gym", "expert", "episodes", "wander", "seed", "rate", "car"}),
-}
-"""What can be recorded, and the flags that each uses. All use the flags of the log."""
-_OF_THE_LOG: Final = frozenset({"name", "sessions", "force", "drive", "environment"})
-
-
-def _recorded(config: Record) -> str:
-    """What is recorded: a key of `_FLAGS_OF`."""
-    if config.environment.gym is not None:
-        return "--gym ID"
-    flags = ["--listen"] * config.listen + ["--driver me"] * (config.drive.driver == "me")
-    return " ".join(flags) or _BUILT_IN
-
-
-def _refuse_unused(config: Record) -> None:
-    """Raise UsageError for flags that what is recorded does not use."""
-    what = _recorded(config)
-    for group in (config, config.drive, config.environment):
-        unused = [flag.name for flag in fields(group) if flag.name not in _FLAGS_OF[what] | _OF_THE_LOG]
-        if flags := flags_given(group, *unused):
-            if what != _BUILT_IN:
-                raise UsageError(f"{flags}: not with {what}")
-            first = flags.partition(",")[0].removeprefix("--").removeprefix("no-").replace("-", "_")
-            users = [name for name, used in _FLAGS_OF.items() if first in used]
-            shortest = [name for name in users if not any(other != name and other in name for other in users)]
-            raise UsageError(f"{flags}: only with {' or '.join(shortest)}")
-
-
-def _check(config: Record) -> None:
-    """Raise UsageError for values that are never valid, and for flags that do not go together."""
-    _refuse_unused(config)
+def record_listening(config: RecordListening) -> int:
+    """Record simulators that connect; with --me, a person drives one."""
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: expected a number of seconds, 0 or more")
     if config.port:  # 0: a free one
         check_port("--port", config.port)
-    if config.environment.gym is not None:
-        from recorder.sources.record_gymnasium import check_recording
+    if not config.me and (flags := flags_given(config, "open", "speed", "page")):
+        raise UsageError(f"{flags}: only with --me")
+    _check_speed(config.speed)
+    car = None if config.car is None else named_car(config.car)
 
-        check_recording(_gym_recording(config))
-    elif config.drive.driver == "me":
-        _check_at_the_wheel(config)
-    elif not config.listen:
-        with usage_errors(RecordingError):
-            check_drive(_drive_of(config))
+    def write(log: Path) -> Imported:
+        with contextlib.ExitStack() as stack:
+
+            def show(growing: Path) -> None:
+                if config.viewer:
+                    stack.enter_context(preview(growing, idle_priority=True))
+
+            settings = ListenSettings(config.host, config.port, config.idle, car, show)
+            if not config.me:
+                from recorder.sources.live_telemetry import listen_for_telemetry  # Socket.IO: a second to load
+
+                return listen_for_telemetry(log, settings, overwrite=config.log.force)
+            from recorder.sources.person_of_telemetry import listen_at_the_wheel
+
+            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
+            done = listen_at_the_wheel(settings, log, config.speed, overwrite=config.log.force, on_wheel=on_wheel)
+            if config.page:
+                wait_until_left(done.path)
+            return done
+
+    return _make_session(config.name, config.log, write)
 
 
-def _check_at_the_wheel(config: Record) -> None:
+def record_gym(config: RecordGym) -> int:
+    from recorder.sources.gymnasium_flags import GymFlags
+    from recorder.sources.record_gymnasium import GymRecording, check_recording, record_gymnasium
+
+    car = None if config.car is None else named_car(config.car)
+    environment = GymFlags(config.environment, config.expert, config.episodes)
+    recording = GymRecording(environment, config.seed, config.rate, config.wander, car)
+    check_recording(recording)
+    return _make_session(
+        config.name, config.log, lambda log: record_gymnasium(recording, log, overwrite=config.log.force)
+    )
+
+
+def _make_session(name: str | None, flags: LogFlags, write: Callable[[Path], Imported]) -> int:
+    name = f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}" if name is None else name
+    check_name(name)
+    return make_session(flags.sessions / f"{name}.mcap", write)
+
+
+def _page_opener(stack: contextlib.ExitStack, log: Path, *, serves: bool, opens: bool) -> Callable[[Wheel], None]:
+    """What is called with the wheel as soon as a page can connect: it serves the page until `stack` is closed."""
+
+    def serve_page(wheel: Wheel) -> None:
+        if serves:
+            stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
+
+    return serve_page
+
+
+def _check_person(drive: PersonDrive) -> None:
     """Raise UsageError for values that do not fit a person's drive."""
-    drive = config.drive
-    if len(drive.speed) != 1 or not 0 < drive.speed[0] <= MAX_SPEED_MPH:
-        raise UsageError(
-            f"--speed: with --driver me, give the one speed that the page holds, above 0 mph and up to"
-            f" {MAX_SPEED_MPH}"
-        )
+    _check_speed(drive.speed)
     with usage_errors(RecordingError):
-        check_row_rate(_drive_of(config).rate)
+        check_row_rate(drive.rate)
     if not 0 <= drive.start < math.inf:
         raise UsageError(f"--start {drive.start:g}: expected a number of metres, 0 or more")
     if drive.laps is not None and not 0 < drive.laps < math.inf:
         raise UsageError(f"--laps {drive.laps:g}: expected a number above 0")
+
+
+def _check_speed(speed_mph: float) -> None:
+    if not 0 < speed_mph <= MAX_SPEED_MPH:
+        raise UsageError(f"--speed {speed_mph:g}: expected mph above 0 and up to {MAX_SPEED_MPH}")

@@ -162,7 +162,7 @@ def _number(name: str, value: object) -> float:
 
 
 def expert(env: gymnasium.Env[Any, Any], observation: object) -> NDArray[np.float32]:
-    """The built-in expert for `bc-record --gym`: `--expert simulator.environment:expert`."""
+    """The built-in expert for `bc-record gym`: `--expert simulator.environment:expert`."""
     driving = env.unwrapped
     if not isinstance(driving, DrivingEnv):
         raise TypeError(f"{type(driving).__name__}: this expert drives the built-in simulator only")

@@ -91,7 +91,7 @@ def renderer_alone(seconds: float) -> dict[str, float]:
 def delays(folder: Path, seconds: float) -> dict[str, Any]:
     """Press keys at random moments while a drive is recorded. Returns the measurements."""
     alone = renderer_alone(min(3.0, seconds / 4))
-    words = ("delays", "--driver", "me", "--no-page", "--track", TRACK)
+    words = ("me", "delays", "--no-page", "--track", TRACK)
     with (
         workbench(folder) as (server, address),
         running(folder, "bc-record", *words) as drive,
@@ -238,7 +238,7 @@ def takeovers(folder: Path, times: int) -> dict[str, Any]:
 
 def soak(folder: Path, minutes: float, keep: Path) -> dict[str, Any]:
     """Drive by keys for `minutes`, and write the samples to `keep` as they come. Returns the measurements."""
-    words = ("soak", "--driver", "me", "--no-page", "--track", TRACK)
+    words = ("me", "soak", "--no-page", "--track", TRACK)
     samples: list[dict[str, float]] = []
     with (
         workbench(folder) as (server, address),

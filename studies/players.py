@@ -159,7 +159,7 @@ class Study:
     ) -> Result:
         """Drive `laps` laps, or without them `seconds` seconds by this computer's clock."""
         length = ["--laps", f"{laps:g}"] if laps else []
-        words = (session, "--driver", "me", "--no-page", "--force", "--track", track, *length)
+        words = ("me", session, "--no-page", "--force", "--track", track, *length)
         with (
             workbench(self.folder) as (_, address),
             running(self.folder, "bc-record", *words) as drive,

@@ -49,7 +49,7 @@ def ros_2_bag(folder: Path) -> list[object]:
 def car_racing(folder: Path) -> list[object]:
     settings = f"{(ROOT / 'examples/car_racing.toml').read_text()}args.max_episode_steps = {PICTURES}"
     (race := folder.with_suffix(".toml")).write_text(settings)
-    return [folder.name, "--gym", race, "--expert", f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"]
+    return ["gym", race, folder.name, "--expert", f"{ROOT / 'examples' / 'car_racing_expert.py'}:drive"]
 
 
 SOURCES: dict[str, tuple[Callable[[], None], Callable[[Path], list[object]]]] = {

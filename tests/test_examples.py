@@ -50,8 +50,8 @@ def lock_step(port: int) -> SimulatorClient:
 
 def test_ones_own_simulator_is_recorded(tmp_path: Path) -> None:
     path = tmp_path / "mine.mcap"
-    flags = ("--listen", "--port", 0, "--sessions", tmp_path, "--car", SETTINGS)
-    with Process(command("bc-record", "mine", *flags)) as process:
+    flags = ("--port", 0, "--sessions", tmp_path, "--car", SETTINGS)
+    with Process(command("bc-record", "listen", "mine", *flags)) as process:
         car = drive_car(int(process.wait_for(r"waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]))
         assert process.end() == 0
     with Log(path) as log:

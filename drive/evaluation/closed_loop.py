@@ -68,14 +68,16 @@ def drive_runs(
     precision: Precision = "auto",
     device: Device = "auto",
     overwrite: bool = False,
+    shows_progress: bool = False,
 ) -> Iterator[tuple[int, DriveResult]]:
     """Let each run, given with the folder of its logs, make each of the drives. Yields the number and the result
     of each drive when it is finished. The results are those of `evaluate`.
 
-    `networks` names the code that runs of a user's own networks need. Raises what `evaluate` raises.
+    `networks` names the code that runs of a user's own networks need. With `shows_progress`, each simulator draws
+    a bar on the terminal. Raises what `evaluate` raises.
     """
     calls = [
-        (run, tuple(networks), precision, device, simulator, config, path)
+        (run, tuple(networks), precision, device, simulator, config, path, shows_progress)
         for run, logs in runs
         for (simulator, config), path in zip(
             drives, _log_paths(run_name(run), drives, logs, overwrite=overwrite), strict=True
@@ -92,16 +94,17 @@ def _drive_run(
     simulator: BuiltInSimulator,
     config: DriveConfig,
     path: Path,
+    shows_progress: bool,
 ) -> DriveResult:
     pilot = _warm_pilot(run, networks, precision, device)
     # `_log_paths` has checked for existing logs; a drive that the cluster repeats replaces its own first log
-    report = drive_and_log(pilot, simulator, config, path, overwrite=True, shows_progress=False)
+    report = drive_and_log(pilot, simulator, config, path, overwrite=True, shows_progress=shows_progress)
     return DriveResult(simulator, config, path, report)
 
 
 @lru_cache(maxsize=1)
 def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, device: Device) -> Pilot:
-    """The pilot of a run, cached, because a process of a cluster makes many drives, most of them of one run."""
+    """The pilot of a run, cached, because a process makes many drives, most of them of one run."""
     for name in networks:
         load_code(name)
     pilot = load_pilot(run, precision, device)

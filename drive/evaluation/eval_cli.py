@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +15,9 @@ from common.allowed_places import allow_places
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, usage_errors, warn, warn_skipped
 from common.errors import counted
 from common.output import print_message, print_next, print_result
-from common.progress import track
+from common.progress import progress_bar, track
 from common.ray_flag import tasks_of
+from common.tasks import in_processes, one_by_one
 from common.untrusted import real_path
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
@@ -245,46 +246,33 @@ def _driven(
 ) -> Iterator[tuple[int, DriveResult]]:
     """Make the drives of runs, each given with the folder of its logs. Yields number and result when finished."""
     from drive.driven_car import other_steering
+    from drive.evaluation.closed_loop import drive_runs
 
     for run, _ in runs:
         if line := other_steering(run, None):
             print_message(f"bc-eval: {line}")
-    drive = _driven_locally if config.ray is None else _driven_on_cluster
-    yield from drive(config, runs, drives)
-
-
-def _driven_locally(
-    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[PlannedDrive]
-) -> Iterator[tuple[int, DriveResult]]:
-    from drive.evaluation.closed_loop import evaluate as evaluate_run
-    from model import load_pilot
-
-    numbers = itertools.count()
-    for run, logs in runs:
-        pilot = load_pilot(run, config.precision or "auto", config.device or "auto")
-        pilot.warm_up()
-        for result in evaluate_run(
-            pilot, drives, logs, overwrite=config.force, notify=lambda text: print_message(f"bc-eval: {text}")
-        ):
-            yield next(numbers), result
-
-
-def _driven_on_cluster(
-    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[PlannedDrive]
-) -> Iterator[tuple[int, DriveResult]]:
-    from drive.evaluation.closed_loop import drive_runs
-
-    with tasks_of(config.ray, gpus=int(config.device == "cuda")) as tasks:
-        results = drive_runs(
-            runs,
-            drives,
-            tasks,
-            networks=config.network,
-            precision=config.precision or "auto",
-            device=config.device or "auto",
-            overwrite=config.force,
-        )
-        yield from track(results, "driving", len(runs) * len(drives))
+    count = len(runs) * len(drives)
+    drive = partial(
+        drive_runs,
+        runs,
+        drives,
+        networks=config.network,
+        precision=config.precision or "auto",
+        device=config.device or "auto",
+        overwrite=config.force,
+    )
+    if config.ray is not None:
+        with tasks_of(config.ray, gpus=int(config.device == "cuda")) as tasks:
+            yield from track(drive(tasks), "driving", count)
+    elif count == 1:
+        yield from drive(one_by_one, shows_progress=True)
+    else:
+        print_message(f"bc-eval: {count} drives, as many at the same time as there are cores")
+        with progress_bar() as bar:
+            task = bar.add_task(f"{count} drives", total=100 * count, note="")
+            yield from drive(
+                partial(in_processes, progress=lambda done: bar.update(task, completed=round(100 * done)))
+            )
 
 
 def main() -> None:

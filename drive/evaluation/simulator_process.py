@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.interrupts import StopEvent, stop_signals
+from common.tasks import report_share
 from drive.config import DriveConfig
 from drive.drive_server import DriveServer
 from drive.errors import DriveError
@@ -87,8 +88,13 @@ def drive_built_in(
     Returns the simulator's report, which the log keeps, too; empty if the drive was stopped. Raises DriveError if
     the simulator fails. Without `shows_progress`, it draws no bar on the terminal.
     """
+
+    def has_ended() -> bool:
+        report_share(min(1.0, (server.session.summary.laps or 0.0) / simulator.laps))
+        return process.poll() is not None
+
     with _process(server, simulator, shows_progress=shows_progress) as process:
-        server.run(until=lambda: process.poll() is not None, stopped=stopped)
+        server.run(until=has_ended, stopped=stopped)
         if process.poll() is None:
             return {}
         output, errors = process.communicate()

@@ -49,6 +49,6 @@ def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
         reason = getattr(error, "strerror", None) or error
         advice = "give an address of this machine by --host"
         if getattr(error, "errno", None) in (errno.EADDRINUSE, errno.EACCES):
-            advice = "end the bc-drive or bc-record --listen that is running there, or give another --port"
+            advice = "end the bc-drive or bc-record listen that is running there, or give another --port"
         raise ListenError(f"cannot listen on {shown_address(host, port)} ({reason}); {advice}") from None
     return listener

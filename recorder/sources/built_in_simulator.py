@@ -47,9 +47,7 @@ def record_simulated(
     """
     refuse_existing(log, overwrite)  # before the folder is created
     check_drive(drive)
-    if drive.driver == "me":
-        raise RecordingError("--driver me: a person's drive is recorded by `record_person`")
-    name, laps = drive.driver, 1.0 if drive.laps is None else drive.laps
+    name, laps = drive.driver, drive.laps
     simulation = simulation_on(drive.track)
     metadata = simulator_metadata(
         simulation,
@@ -146,9 +144,8 @@ def check_drive(drive: SimulatedDrive) -> None:
         raise RecordingError(str(error)) from None
     if not drive.speed:
         raise RecordingError("--speed: expected a set speed in mph, or several")
-    laps = 1.0 if drive.laps is None else drive.laps
     for flag, value, is_good, expected in (
-        ("--laps", laps, 0 < laps <= MAX_LAPS, _LAPS_EXPECTED),
+        ("--laps", drive.laps, 0 < drive.laps <= MAX_LAPS, _LAPS_EXPECTED),
         *(("--speed", mph, 0 < mph <= MAX_SPEED_MPH, _SPEED_EXPECTED) for mph in drive.speed),
         ("--recovery", drive.recovery, 0 <= drive.recovery <= MAX_RECOVERY, f"a share of 0 .. {MAX_RECOVERY:g}"),
         ("--noise", drive.noise, 0 <= drive.noise < math.inf, "a standard deviation of the steering, 0 or more"),

@@ -109,7 +109,7 @@ class GymnasiumCar(Closeable):
 
     def reset(self, seed: int) -> GymnasiumMoment:
         self._steps = 0
-        with _errors_of(f"--gym {self.name}", f"its reset with seed {seed}"):
+        with _errors_of(f"{self.name}", f"its reset with seed {seed}"):
             observation, info = self.env.reset(seed=seed)
         return self._moment(observation, info)
 
@@ -117,7 +117,7 @@ class GymnasiumCar(Closeable):
         """One step by an action in the environment's form, limited to its range."""
         self._steps += 1
         sent = np.clip(action.reshape(self._space.shape), self._space.low, self._space.high)
-        with _errors_of(f"--gym {self.name}", f"its step {self._steps}"):
+        with _errors_of(f"{self.name}", f"its step {self._steps}"):
             observation, given, terminated, truncated, info = self.env.step(sent.astype(self._space.dtype))
             reward = float(given)
         end = "terminated" if terminated else "truncated" if truncated else ""
@@ -153,13 +153,13 @@ class GymnasiumCar(Closeable):
         if not isinstance(space, Box):
             hint = "; CarRacing-v3 has a steering wheel with continuous = true"
             raise RecordingError(
-                f"--gym {self.name}: its actions are {_named(space)}; expected numbers in a Box, and one of"
+                f"{self.name}: its actions are {_named(space)}; expected numbers in a Box, and one of"
                 f" them the steering{hint if 'CarRacing' in self.name else ''}"
             )
         size = math.prod(space.shape)
         if size != len(self.actions):
             raise RecordingError(
-                f"--gym {self.name}: its action has {counted(size, 'number')}, {_named(space)}: a file for --gym"
+                f"{self.name}: its action has {counted(size, 'number')}, {_named(space)}: a file of settings"
                 f' names each: action = "steering,throttle,brake"; {self.actions.text} is {len(self.actions)}'
             )
         return space
@@ -168,10 +168,10 @@ class GymnasiumCar(Closeable):
         render_fps = self.env.metadata.get("render_fps")
         if (rate_hz := self.settings.rate_hz) is not None:
             if not MIN_HZ <= rate_hz <= MAX_HZ:
-                raise UsageError(f"--gym: rate_hz {rate_hz:g}: expected {MIN_HZ:g} to {MAX_HZ:,.0f}")
+                raise UsageError(f"rate_hz {rate_hz:g}: expected {MIN_HZ:g} to {MAX_HZ:,.0f}")
         elif not isinstance(render_fps, int | float) or not MIN_HZ <= render_fps <= MAX_HZ:
             raise RecordingError(
-                f"--gym {self.name}: its render_fps is {render_fps}: give its steps a second as rate_hz"
+                f"{self.name}: its render_fps is {render_fps}: give its steps a second as rate_hz"
             )
 
     def _moment(
@@ -185,9 +185,7 @@ class GymnasiumCar(Closeable):
         except (TypeError, KeyError, AttributeError, IndexError):
             size = ()
         if len(size) != 2 or min(size) < MIN_PX or picture.dtype != np.uint8:
-            raise RecordingError(
-                f"--gym {self.name}: step {self._steps} gave no picture, although its spaces have one"
-            )
+            raise RecordingError(f"{self.name}: step {self._steps} gave no picture, although its spaces have one")
         return GymnasiumMoment(observation, picture, self._speed_mph(observation, info), reward, end)
 
     def _speed_mph(self, observation: Any, info: dict[str, Any]) -> float:
@@ -202,7 +200,7 @@ class GymnasiumCar(Closeable):
             return math.nan  # info may have it only from the first step on
         keys = sorted({*(observation if isinstance(observation, dict) else ()), *info})
         raise RecordingError(
-            f"--gym {self.name}: speed {self.settings.speed}: no such number in its observation or info (there is:"
+            f"{self.name}: speed {self.settings.speed}: no such number in its observation or info (there is:"
             f" {printable(', '.join(map(str, keys))) or 'nothing'})"
         )
 
@@ -227,7 +225,7 @@ def _make(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any, Any]:
             warnings.simplefilter("ignore", DeprecationWarning)  # about other people's code
             return gymnasium.make(name, **arguments)
     except Exception as error:  # of Gymnasium's, or of the environment's own code
-        raise RecordingError(f"--gym {printable(name)}: cannot be made ({in_one_line(error)})") from None
+        raise RecordingError(f"{printable(name)}: cannot be made ({in_one_line(error)})") from None
 
 
 @contextlib.contextmanager
@@ -243,7 +241,7 @@ def _parse_action(text: str) -> ActionMap:
     try:
         return ActionMap(text)
     except ValueError as error:
-        raise UsageError(f"--gym: action {text}: {error}; such as steering,throttle,brake") from None
+        raise UsageError(f"action {text}: {error}; such as steering,throttle,brake") from None
 
 
 def _parse_speed(text: str | None) -> tuple[float, str | None]:
@@ -251,7 +249,7 @@ def _parse_speed(text: str | None) -> tuple[float, str | None]:
         return 1.0, None
     match = _SPEED.fullmatch(text)
     if match is None:
-        raise UsageError(f"--gym: speed {text!r}: expected a key, such as speed, or 2.237*speed")
+        raise UsageError(f"speed {text!r}: expected a key, such as speed, or 2.237*speed")
     return float(match[1] or 1.0), match[2]
 
 
@@ -264,15 +262,14 @@ def _find_picture(name: str, space: Any, key: str | None) -> tuple[str, ...]:
         if wanted in pictures:
             return wanted
         raise RecordingError(
-            f"--gym {name}: picture {key}: its observation has no such picture; it has: {shown or 'none'}"
+            f"{name}: picture {key}: its observation has no such picture; it has: {shown or 'none'}"
         )
     if not pictures:
         raise RecordingError(
-            f"--gym {name}: no camera picture in its observation, {_named(space)}: expected"
-            " (height, width, 3) of uint8"
+            f"{name}: no camera picture in its observation, {_named(space)}: expected (height, width, 3) of uint8"
         )
     if len(pictures) > 1:
-        raise RecordingError(f"--gym {name}: which picture? Give its key as picture, one of {shown}")
+        raise RecordingError(f"{name}: which picture? Give its key as picture, one of {shown}")
     return pictures[0]
 
 

@@ -1,4 +1,4 @@
-"""The flags of `bc-record --gym` and `bc-drive --gym`, and the settings of their environment."""
+"""The flags of `bc-drive --gym`, and the settings of their environment."""
 
 from __future__ import annotations
 
@@ -51,4 +51,4 @@ def environment_settings(flags: GymFlags) -> EnvironmentSettings:
     try:
         return settings_of_file(EnvironmentSettings, name) if name.endswith(".toml") else EnvironmentSettings(name)
     except ValueError as error:
-        raise UsageError(f"--gym {printable(name)}: {error}") from None
+        raise UsageError(f"{printable(name)}: {error}") from None

@@ -96,7 +96,7 @@ def record_gymnasium(recording: GymRecording, log: Path, *, overwrite: bool = Fa
 def check_recording(recording: GymRecording) -> None:
     """Raise UsageError, which names the flag, for settings that are invalid in every environment."""
     if recording.environment.expert is None:
-        raise UsageError("--gym records an expert: give a function of your own by --expert MODULE:FUNCTION")
+        raise UsageError("an expert is recorded: give a function of your own by --expert MODULE:FUNCTION")
     if not 0.0 <= recording.wander < math.inf:
         raise UsageError(f"--wander {recording.wander:g}: expected a standard deviation, 0 or more")
     if recording.seed < 0:

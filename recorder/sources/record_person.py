@@ -28,7 +28,7 @@ from recorder.sources.imported_rows import Imported
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.person_rows import PersonRows
 from recorder.sources.real_time import RealTime
-from recorder.sources.settings import SimulatedDrive
+from recorder.sources.settings import PersonDrive
 from recorder.teleop.frame_state import FrameState, drives_alone, hello
 from recorder.teleop.recording import Recording
 from recorder.teleop.seat import Control
@@ -48,7 +48,7 @@ _WAIT_S: Final = 0.1  # for a picture, between two checks for signals
 
 
 def record_person(
-    drive: SimulatedDrive,
+    drive: PersonDrive,
     log: Path,
     *,
     overwrite: bool = False,
@@ -57,7 +57,7 @@ def record_person(
 ) -> Imported:
     """Record a person's drive to `log`, until the page, Ctrl-C or `laps` ends it.
 
-    `drive`: its first speed is the one that the page offers to hold; without `laps`, the drive has no end.
+    `drive`: its speed is the one that the page offers to hold; without `laps`, the drive has no end.
     `simulation`: one of the same track. `on_wheel` gets the wheel as soon as pages can connect.
     Raises RecordingError for an unknown track, or if no row was recorded. Raises UserError if `log` exists and
     `overwrite` is off, or if the disk fails; the recorded rows are kept.
@@ -69,7 +69,7 @@ def record_person(
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
         about = hello(
-            "record", log, track=simulation.track, rate_hz=drive.rate, picture_hz=EYE_HZ, hold_mph=drive.speed[0]
+            "record", log, track=simulation.track, rate_hz=drive.rate, picture_hz=EYE_HZ, hold_mph=drive.speed
         )
         wheel = stack.enter_context(Wheel(f"{log.stem} on {drive.track}", log, about))
         writer = stack.enter_context(LogWriter(log, metadata, overwrite=overwrite, live=True))
@@ -98,7 +98,7 @@ class _Drive:
 
     def __init__(
         self,
-        drive: SimulatedDrive,
+        drive: PersonDrive,
         simulation: Simulation,
         wheel: Wheel,
         rows: PersonRows,
@@ -121,7 +121,7 @@ class _Drive:
         self._stuck_steps = 0
         self._put_back = 0
         self.recording = Recording(wheel)
-        self.hold_mph = drive.speed[0]  # the speed that was held last, or is offered
+        self.hold_mph = drive.speed  # the speed that was held last, or is offered
 
     def run(self, stopped: StopEvent) -> str:
         """Drive until the person, a signal or the laps end it; returns the reason."""

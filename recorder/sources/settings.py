@@ -19,25 +19,39 @@ if TYPE_CHECKING:  # NumPy
 class SimulatedDrive:
     """A drive of the built-in simulator."""
 
-    RARE: ClassVar[str] = "start recovery noise"
+    RARE: ClassVar[str] = "recovery noise"
     track: Annotated[str, tyro.conf.arg(metavar="TRACK")] = "lake"
     """lake, mountain, random:SEED, or hairpins:SEED."""
-    driver: DriverName | Literal["me"] = "expert"
-    """The expert, a simulated person at keyboard or mouse, or you (me)."""
-    laps: float | None = None
-    """Laps at each speed; by default 1, with --driver me any number."""
-    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
-    """With --driver me: where to start."""
+    driver: DriverName = "expert"
+    """The expert, or a simulated person at keyboard or mouse."""
+    laps: float = 1.0
+    """Laps at each speed."""
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MPH [MPH ...]")] = (10.0,)
     """Set speeds, one drive each; the driver slows for bends."""
-    rate: Annotated[float, tyro.conf.Suppress] = 10.0  # bc-record has a --rate of its own
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 10.0
     """Recorded rows a second: a divisor of 100, at most 50."""
     recovery: float = 0.35
     """Share of rows in which the car returns to the line."""
     noise: float = 0.03
     """Unsteadiness of the steering; 0.03 is a calm person."""
     seed: int = 0
-    """Same seed, same log; with --gym the first episode's seed."""
+    """Same seed, same log."""
+
+
+@dataclass(frozen=True)
+class PersonDrive:
+    """A person's drive in the built-in simulator."""
+
+    track: Annotated[str, tyro.conf.arg(metavar="TRACK")] = "lake"
+    """lake, mountain, random:SEED, or hairpins:SEED."""
+    laps: float | None = None
+    """End after these laps; by default when you end it."""
+    start: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
+    """Where to start."""
+    speed: Annotated[float, tyro.conf.arg(metavar="MPH")] = 10.0
+    """The speed that the page offers to hold."""
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 10.0
+    """Recorded rows a second: a divisor of 100, at most 50."""
 
 
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]

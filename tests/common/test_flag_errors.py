@@ -58,12 +58,11 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_log, ["inof"], "bc-log: inof: no such command; did you mean info?; `bc-log --help-all` has all flags"),
         (bc_log, ["drive"], "bc-log: drive: no such command; the commands are ls, info, check"),
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
-        (bc_record, ["a", "-listen"], "bc-record: -listen: no such flag; did you mean --listen?"),
+        (bc_record, ["a", "-track"], "bc-record: -track: no such flag; did you mean --track?"),
         (bc_import, ["a", "--colums=b"], "bc-import: --colums: no such flag; did you mean --columns?"),
         (bc_log, ["info", "a", "--where", "row < 3"], "bc-log: --where: not a flag of this command; `"),
         (bc_index, ["--flip"], "bc-index: --flip: no such flag; did you mean --no-flip?"),
         (bc_index, ["--figures", "f"], "bc-index: --figures: was removed; bc-web shows the balance"),
-        (bc_record, ["a", "--watch"], "bc-record: --watch: was removed; `bc-import SOURCE --watch` has it"),
         (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),
         (bc_play, ["a", "--by", "place", "b"], "bc-play: b: one word too many after --by place; put words"),
         (
@@ -88,7 +87,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
             "bc-log: --sort: expected {newest,name,rows,duration} after it; `bc-log ls --help-",
         ),
         (bc_log, ["ls", "a", "--json=1"], "bc-log: --json=1: --json takes no value; `bc-log ls --help-all`"),
-        (bc_record, ["--laps", "1"], "bc-record: NAME is missing"),
+        (bc_import, ["--rate", "1"], "bc-import: SOURCE is missing"),
         (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help-all` has all flags"),
         # a speed or a number of laps that is a slip of the finger
         (
@@ -103,8 +102,8 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         ),
         (
             bc_record,
-            ["me", "--driver", "me", "--speed", "500"],
-            "bc-record: --speed: with --driver me, give the one speed that",
+            ["me", "--speed", "500"],
+            "bc-record me: --speed 500: expected mph above 0 and up to 100",
         ),
         (bc_sim, ["--laps", "1000000"], "bc-sim: --laps 1e+06: give a number above 0 and up to 1,000"),
         (

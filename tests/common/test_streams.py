@@ -176,7 +176,7 @@ def test_a_drive_answers_whoever_reads_what_it_says(reader: type[Reader], pilot:
 @pytest.mark.parametrize("reader", READERS)
 def test_listening_answers_whoever_reads_what_it_says(reader: type[Reader], tmp_path: Path) -> None:
     [port] = free_ports(1)
-    line = command_after(PATIENT, "bc-record", "live", "--listen", "--port", port)
+    line = command_after(PATIENT, "bc-record", "listen", "live", "--port", port)
     with read_by(reader, line, cwd=tmp_path) as process:
         assert answers_to(port) == [PICTURES] * CLIENTS
         process.send_signal(signal.SIGINT)

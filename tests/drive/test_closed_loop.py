@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from common.process_settings import usable_cores
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import evaluate
@@ -225,13 +226,44 @@ def test_bc_drive_with_the_built_in_simulator_ends_by_itself_with_a_log(pilot_ru
         assert written.counts["/camera/center"] == written.counts["/pilot/command"] > 10
 
 
-def test_an_evaluation_that_is_stopped_ends_and_keeps_what_it_drove(pilot_run: Path, tmp_path: Path) -> None:
-    arguments = (pilot_run, "--simulator", "lake", "--laps", 1, "--drives", tmp_path / "drives")
-    with Child(command("bc-eval", *arguments)) as process:
-        process.wait_for(r"untrained on lake at 10 mph, 1 lap$")
-        while not any(part.stat().st_size > 100_000 for part in (tmp_path / "drives").glob("*.part")):
+@pytest.mark.parametrize("tracks", [("lake",), ("lake", "mountain")])
+def test_an_evaluation_that_is_stopped_keeps_what_it_drove(
+    pilot_run: Path, tmp_path: Path, tracks: tuple[str, ...]
+) -> None:
+    logs, at_once = tmp_path / "drives", min(len(tracks), usable_cores())
+    with Child(command("bc-eval", pilot_run, "--simulator", *tracks, "--laps", 1, "--drives", logs)) as process:
+        while sum(part.stat().st_size > 100_000 for part in logs.glob("*.part")) < at_once:
             assert process.popen.poll() is None, process.stderr
-            time.sleep(0.05)  # until it is in the middle of driving
+            time.sleep(0.05)  # until they are in the middle of driving
         assert process.end(signal.SIGTERM) == 130
     assert not any(word in "\n".join(process.stderr) for word in ("Traceback", "connecting", "ws://"))
-    assert [path.suffix for path in (tmp_path / "drives").iterdir()] == [".mcap"]
+    assert {path.suffix for path in logs.iterdir()} == {".mcap"}
+
+
+def test_drives_at_the_same_time_are_those_that_are_driven_alone(pilot_run: Path, tmp_path: Path) -> None:
+    settings = ("--laps", 0.004, "--speed", 10, 20, "--json", "--drives")
+    together = run("bc-eval", pilot_run, "--simulator", "lake", "mountain", *settings, tmp_path / "together")
+    assert together.returncode == 0, together.stderr
+    alone = "".join(
+        run(
+            "bc-eval",
+            pilot_run,
+            "--simulator",
+            track,
+            "--speed",
+            speed,
+            *settings[:2],
+            "--json",
+            "--drives",
+            tmp_path / "alone",
+        ).stdout
+        for speed in (10, 20)
+        for track in ("lake", "mountain")
+    )
+    assert by_log(together.stdout) == by_log(alone)
+
+
+def by_log(printed: str) -> dict[str, dict[str, object]]:
+    """The results of drives by the names of their logs, without what depends on the clock and the folder."""
+    results = [json.loads(line) for line in printed.splitlines()]
+    return {Path(result.pop("log")).name: result for result in results}

@@ -55,7 +55,7 @@ def driven(folder: Path) -> tuple[Path, int, list[str]]:
 
 
 def recorded(folder: Path) -> tuple[Path, int, list[str]]:
-    arguments = ("log", "--listen", "--port", 0, "--idle", 0.5, "--sessions", folder)
+    arguments = ("listen", "log", "--port", 0, "--idle", 0.5, "--sessions", folder)
     with Process(command("bc-record", *arguments)) as process:
         simulate(int(process.wait_for(r"waiting for a simulator on 127\.0\.0\.1:(\d+)")[1]))
         return folder / "log.mcap", process.join(), process.stderr

@@ -1,6 +1,6 @@
 """A Gymnasium environment of nothing but a bar, which steering moves; and its experts, good and bad.
 
-`--gym toy_environment:toy/Bar-v0 --expert toy_environment:centre`
+`bc-record gym toy_environment:toy/Bar-v0 --expert toy_environment:centre`
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ STEER_AND_GAS: Final = spaces.Box(np.array([-1, 0], np.float32), np.array([1, 1]
 
 
 def bar(**settings: Any) -> list[str]:
-    """The words that name the bar by a file of settings, which is written to the working folder."""
+    """The flag that names the bar by a file of settings, which is written to the working folder."""
+    return ["--gym", bar_file(**settings)]
+
+
+def bar_file(**settings: Any) -> str:
+    """The bar's file of settings, which is written to the working folder."""
     settings = {"id": "toy_environment:toy/Bar-v0", "action": "steering,throttle", **settings}
     args = settings.pop("args", {})
     lines = [f"{name} = {json.dumps(value)}" for name, value in settings.items()]
@@ -33,7 +38,7 @@ def bar(**settings: Any) -> list[str]:
         lines += [f"args = {args}"]
     number = len(list(Path.cwd().glob("bar-*.toml")))
     (path := Path(f"bar-{number}.toml")).write_text("\n".join(lines))
-    return ["--gym", str(path)]
+    return str(path)
 
 
 def with_bars(words: list[Any]) -> list[Any]:

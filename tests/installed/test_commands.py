@@ -106,9 +106,7 @@ def test_gymnasium_is_there(made: Toolkit) -> None:
     (made.folder / "hold.py").write_text("def drive(environment, observation):\n    return [0.0, 0.5]\n")
     settings = 'id = "simulator:bc/Lake-v0"\naction = "steering,throttle"\nargs = {max_episode_steps = 20}\n'
     (made.folder / "lake.toml").write_text(settings)
-    done = made.run(
-        "bc-record", "gym", "--gym", "lake.toml", "--expert", "hold.py:drive", "--sessions", "imported"
-    )
+    done = made.run("bc-record", "gym", "lake.toml", "gym", "--expert", "hold.py:drive", "--sessions", "imported")
     assert done.code == 0, done
 
 

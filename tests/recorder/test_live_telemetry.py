@@ -33,7 +33,7 @@ from simulator.protocol.client import (
     WaitTimeoutError,
 )
 
-# `bc-record --listen` without its flags: the log, the port, and where given the seconds of waiting.
+# `bc-record listen` without its flags: the log, the port, and where given the seconds of waiting.
 LISTEN = """
 import sys
 from dataclasses import dataclass
@@ -290,8 +290,8 @@ def test_two_simulators_at_once_have_a_log_each_and_kill_finishes_both(tmp_path:
 
 @pytest.mark.needs("ipv6")
 def test_a_simulator_is_recorded_over_ipv6(tmp_path: Path) -> None:
-    flags = ("--listen", "--host", "::1", "--port", 0, "--idle", 0)
-    with Process(command("bc-record", "live", *flags), tmp_path) as process:
+    flags = ("--host", "::1", "--port", 0, "--idle", 0)
+    with Process(command("bc-record", "listen", "live", *flags), tmp_path) as process:
         port = int(process.wait_for(r"^waiting for a simulator on \[::1\]:(\d+)$")[1])
         tell(port, DRIVEN[:1], "::1")
         assert process.join() == 0

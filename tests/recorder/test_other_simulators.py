@@ -138,7 +138,7 @@ def test_a_tub_without_times_at_another_rate(tmp_path: Path) -> None:
 def test_a_rate_where_every_message_has_its_time_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(bc_record, "x", "--listen", "--rate", 20, "--sessions", tmp_path) == 2
+    assert call(bc_record, "listen", "x", "--rate", 20, "--sessions", tmp_path) == 2
     assert "--rate" in capsys.readouterr().err
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
     topics = ("--image", TOPICS.image, "--steering", TOPICS.steering)

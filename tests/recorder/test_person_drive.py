@@ -34,7 +34,7 @@ from recorder.sources.frame_rate import check_row_rate, is_row_step
 from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.real_time import RealTime
 from recorder.sources.record_person import record_person
-from recorder.sources.settings import SimulatedDrive
+from recorder.sources.settings import PersonDrive
 from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check
@@ -87,7 +87,7 @@ class Drive:
         self.log = log
         self.error: Exception | None = None
         self._simulation = simulation or Drawn("lake")
-        self._settings = SimulatedDrive(driver="me", **settings)
+        self._settings = PersonDrive(**settings)
         self._is_open = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -374,7 +374,7 @@ def test_on_a_slow_computer_the_clock_slows_down_and_no_row_is_lost(
 
 
 def test_a_killed_drive_is_recovered_with_its_tags(tmp_path: Path) -> None:
-    line = command("bc-record", "mine", "--driver", "me", "--no-page", "--sessions", tmp_path)
+    line = command("bc-record", "me", "mine", "--no-page", "--sessions", tmp_path)
     with Process(line) as process:
         wait_until(lambda: open_wheels(Path.cwd()))
         with PersonsPage() as page:
@@ -398,23 +398,18 @@ def test_a_killed_drive_is_recovered_with_its_tags(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("--driver", "me", "--noise", "0.1"), "--noise"),
-        (("--driver", "me", "--rate", "7"), "--rate 7"),
-        (("--driver", "me", "--speed", "10", "20"), "--speed"),
-        (("--driver", "me", "--laps", "0"), "--laps 0"),
-        (("--driver", "me", "--udacity", "folder"), "--udacity"),
-        (("--driver", "me", "--listen", "--track", "mountain"), "--track"),
-        (("--driver", "me", "--start", "nan"), "--start nan"),
-        (("--driver", "me", "--listen", "--start", "9"), "--start"),
-        (("--start", "9"), "--start: only with --driver me"),
-        (("--open",), "--open: only with --driver me"),
-        (("--no-page",), "only with --driver me"),
+        (("me", "x", "--noise", "0.1"), "--noise"),
+        (("me", "x", "--rate", "7"), "--rate 7"),
+        (("me", "x", "--laps", "0"), "--laps 0"),
+        (("me", "x", "--start", "nan"), "--start nan"),
+        (("listen", "x", "--me", "--start", "9"), "--start"),
+        (("listen", "x", "--open", "--no-page"), "--open, --no-page: only with --me"),
     ],
 )
 def test_flags_that_are_others_than_a_persons_are_refused(
     tmp_path: Path, arguments: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(record_main, "x", "--sessions", tmp_path / "sessions", *arguments) == 2
+    assert call(record_main, *arguments, "--sessions", tmp_path / "sessions") == 2
     assert expected in capsys.readouterr().err
     assert not (tmp_path / "sessions").exists()
 

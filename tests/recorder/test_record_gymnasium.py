@@ -1,4 +1,4 @@
-"""`bc-record --gym`: an expert in a Gymnasium environment becomes a session like any other."""
+"""`bc-record gym`: an expert in a Gymnasium environment becomes a session like any other."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from recorder.log.reader import Log
 from recorder.log_cli import main as bc_log
 from recorder.upkeep.check import check
 from repository import ROOT
-from toy_environment import RATE_HZ, STEPS, bar, place_in, with_bars
+from toy_environment import RATE_HZ, STEPS, bar_file, place_in
 from udacity import call
 
-BARE = ["--gym", "toy_environment:toy/Bar-v0"]
+BARE = "toy_environment:toy/Bar-v0"
 CENTRE = ["--expert", "toy_environment:centre"]
 
 
@@ -47,7 +47,7 @@ def places(name: str) -> list[float]:
 def test_each_step_is_a_row_of_what_was_seen_and_what_the_expert_wanted(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert call(bc_record, "bar", *bar(speed="2.237*speed"), *CENTRE, "--episodes", 2) == 0
+    assert call(bc_record, "gym", bar_file(speed="2.237*speed"), "bar", *CENTRE, "--episodes", 2) == 0
     assert "60 rows, 60 pictures" in capsys.readouterr().out
     vehicle = states("bar")
     pixel = 2.0 / 55  # of the bar's place
@@ -64,8 +64,8 @@ def test_each_step_is_a_row_of_what_was_seen_and_what_the_expert_wanted(
 
 
 def test_what_the_environment_does_not_tell_stays_empty() -> None:
-    environment = bar(action="steering,0.5", args={"observation": "picture"})
-    assert call(bc_record, "bar", *environment, *CENTRE) == 0
+    environment = bar_file(action="steering,0.5", args={"observation": "picture"})
+    assert call(bc_record, "gym", environment, "bar", *CENTRE) == 0
     vehicle = states("bar")
     assert all(math.isnan(speed) for speed in vehicle["speed_mph"])
     assert set(vehicle["throttle"]) == set(vehicle["brake"]) == {0.0}
@@ -73,14 +73,14 @@ def test_what_the_environment_does_not_tell_stays_empty() -> None:
 
 @pytest.mark.parametrize(("limits", "code"), [("{tuple = [0.5, 0.5]}", 0), ("[0.5, 0.5]", 1)])
 def test_a_setting_may_be_a_tuple(limits: str, code: int) -> None:
-    environment = bar(speed="2.237*speed", args=f"{{limits = {limits}}}")
-    assert call(bc_record, "bar", *environment, *CENTRE) == code
+    environment = bar_file(speed="2.237*speed", args=f"{{limits = {limits}}}")
+    assert call(bc_record, "gym", environment, "bar", *CENTRE) == code
     assert code or places("bar")[1:] == pytest.approx([0.5] * (STEPS - 1), abs=0.02)
 
 
 def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> None:
     for name, seed, episodes in (("two", 4, 2), ("first", 4, 1), ("second", 5, 1)):
-        assert call(bc_record, name, *bar(), *CENTRE, "--seed", seed, "--episodes", episodes) == 0
+        assert call(bc_record, "gym", bar_file(), name, *CENTRE, "--seed", seed, "--episodes", episodes) == 0
     two, first, second = (states(name)["steering"] for name in ("two", "first", "second"))
     assert two == first + second
     checked = check(Path("sessions/two.mcap"), look=False)
@@ -89,14 +89,14 @@ def test_a_seed_repeats_its_rows_and_the_next_episode_has_the_next_seed() -> Non
 
 
 def test_rows_may_be_fewer_than_steps() -> None:
-    assert call(bc_record, "bar", *bar(), *CENTRE, "--rate", 10) == 0
+    assert call(bc_record, "gym", bar_file(), "bar", *CENTRE, "--rate", 10) == 0
     times = np.array(states("bar")["log_time_ns"], np.float64)
     np.testing.assert_allclose(np.diff(times) / 1e9, [0.1] * (STEPS // 2 - 1), rtol=1e-4)
 
 
 def test_the_hand_wanders_and_the_experts_steering_is_recorded() -> None:
-    assert call(bc_record, "calm", *bar(), *CENTRE) == 0
-    assert call(bc_record, "wanders", *bar(), *CENTRE, "--wander", 0.8) == 0
+    assert call(bc_record, "gym", bar_file(), "calm", *CENTRE) == 0
+    assert call(bc_record, "gym", bar_file(), "wanders", *CENTRE, "--wander", 0.8) == 0
     seen = places("wanders")
     assert np.abs(np.subtract(seen, places("calm"))).max() > 0.1
     np.testing.assert_allclose(states("wanders")["steering"], [-0.5 * place for place in seen], atol=1 / 55)
@@ -105,7 +105,7 @@ def test_the_hand_wanders_and_the_experts_steering_is_recorded() -> None:
 def test_what_an_expert_wanted_is_learnt_as_it_is_however_he_steers(capsys: pytest.CaptureFixture[str]) -> None:
     """Steering in steps is smoothed and shifted where people press keys; but he is never late."""
     expert = ("--expert", "toy_environment:to_and_fro")
-    assert call(bc_record, "steps", *bar(), *expert, "--episodes", 45, "--rate", 5) == 0
+    assert call(bc_record, "gym", bar_file(), "steps", *expert, "--episodes", 45, "--rate", 5) == 0
     capsys.readouterr()
     assert call(bc_log, "info", "sessions/steps.mcap", "--json") == 0
     told = json.loads(capsys.readouterr().out)
@@ -114,8 +114,8 @@ def test_what_an_expert_wanted_is_learnt_as_it_is_however_he_steers(capsys: pyte
 
 
 def test_left_may_be_positive_and_scales_may_differ() -> None:
-    assert call(bc_record, "bar", *bar(), *CENTRE) == 0
-    assert call(bc_record, "other", *bar(action="-2*steering,0.5*throttle"), *CENTRE) == 0
+    assert call(bc_record, "gym", bar_file(), "bar", *CENTRE) == 0
+    assert call(bc_record, "gym", bar_file(action="-2*steering,0.5*throttle"), "other", *CENTRE) == 0
     one, other = states("bar"), states("other")
     np.testing.assert_allclose(other["steering"], np.array(one["steering"]) / -2.0)
     assert set(other["throttle"]) == {0.5}
@@ -125,7 +125,7 @@ def test_left_may_be_positive_and_scales_may_differ() -> None:
 def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
     expert = ROOT / "examples" / "car_racing_expert.py"
     Path("race.toml").write_text((ROOT / "examples/car_racing.toml").read_text() + "args.max_episode_steps = 20")
-    assert call(bc_record, "race", "--gym", "race.toml", "--expert", f"{expert}:drive") == 0
+    assert call(bc_record, "gym", "race.toml", "race", "--expert", f"{expert}:drive") == 0
     said = capsys.readouterr()
     assert "20 rows, 20 pictures" in said.out
     assert said.err.startswith("1 episode driven to the end, with a reward of ")
@@ -140,17 +140,17 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "expected"),
     [
-        (["--gym", "Nowhere-v0", *CENTRE], 1, "--gym Nowhere-v0: cannot be made (NameNotFound"),
-        (["--gym", "no_such_module:X-v0", *CENTRE], 1, "No module named 'no_such_module'"),
+        (["Nowhere-v0", *CENTRE], 1, "Nowhere-v0: cannot be made (NameNotFound"),
+        (["no_such_module:X-v0", *CENTRE], 1, "No module named 'no_such_module'"),
         ([{"args": {"wheels": 3}}, *CENTRE], 1, "unexpected keyword argument 'wheels'"),
         ([{"args": [1]}, *CENTRE], 2, "Expected `object`, got `array`"),
         ([{"wheels": 3}, *CENTRE], 2, "unknown settings: wheels"),
-        (["--gym", "missing.toml", *CENTRE], 2, "--gym missing.toml: no such file"),
+        (["missing.toml", *CENTRE], 2, "missing.toml: no such file"),
         ([{"args": {"observation": "numbers"}}, *CENTRE], 1, "no camera picture in its observation"),
         ([{"args": {"observation": "two"}}, *CENTRE], 1, "Give its key as picture, one of front, rear"),
         ([{"picture": "rear"}, *CENTRE], 1, "it has: pixels.front"),
         ([{"args": {"action": "discrete"}}, *CENTRE], 1, "its actions are Discrete(3)"),
-        ([*BARE, *CENTRE], 1, "has 2 numbers"),
+        ([BARE, *CENTRE], 1, "has 2 numbers"),
         ([{"action": "throttle,brake"}, *CENTRE], 2, "one number of the action has to be the steering"),
         (
             [{"action": "steering,gas"}, *CENTRE],
@@ -168,10 +168,7 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         ([{}, *CENTRE, "--episodes", "0"], 2, "--episodes 0"),
         ([{}, *CENTRE, "--wander", "nan"], 2, "--wander nan"),
-        ([{}, *CENTRE, "--track", "mountain"], 2, "--track: not with --gym ID"),
-        ([{}, *CENTRE, "--listen"], 2, "--listen: not with --gym"),
-        (CENTRE, 2, "--expert: only with --gym ID"),
-        (["--wander", "0.1"], 2, "--wander: only with --gym ID"),
+        ([{}, *CENTRE, "--track", "mountain"], 2, "--track"),
         ([{}], 2, "by --expert MODULE:FUNCTION"),
         ([{}, "--expert", "toy_environment"], 2, "expected module:function"),
         ([{}, "--expert", "no_such:drive"], 1, "no_such cannot be imported (ModuleNotFoundError"),
@@ -185,13 +182,15 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
 def test_what_cannot_be_recorded_is_said_in_one_line(
     arguments: list[Any], code: int, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(bc_record, "bar", *with_bars(arguments)) == code
+    environment, *flags = arguments
+    path = bar_file(**environment) if isinstance(environment, dict) else environment
+    assert call(bc_record, "gym", path, "bar", *flags) == code
     line = one_line_in(capsys)
     assert expected in line
     assert not Path("sessions").exists()
 
 
 def test_what_was_recorded_before_an_expert_gave_nan_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_record, "bar", *bar(), "--expert", "toy_environment:nan_later") == 1
+    assert call(bc_record, "gym", bar_file(), "bar", "--expert", "toy_environment:nan_later") == 1
     assert "at step 7 it gave [nan, 0.0]: expected finite numbers" in one_line_in(capsys)
     assert states("bar")["steering"] == [pytest.approx(0.1)] * 7

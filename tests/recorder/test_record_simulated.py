@@ -137,7 +137,7 @@ def test_the_log_names_the_driver_and_is_indexed_whole(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (("--from", "recording", "--driver", "keyboard"), "--driver: no such flag"),
-        (("--listen", "--driver", "mouse"), "--driver: not with --listen"),
+        (("--listen", "--driver", "mouse"), "bc-record listen: --driver: no such flag"),
         (("--driver", "wheel"), "wheel"),
     ],
 )

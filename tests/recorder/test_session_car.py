@@ -121,7 +121,7 @@ def test_a_missing_file_and_the_simulators_own_car_are_refused(
     assert call(bc_import, recording(), "own", "--car", "own.tml") == 1
     assert "own.tml: no such file; expected udacity, built-in or FILE.toml" in one_line_in(capsys)
     assert call(bc_record, "own", "--car", "udacity") == 2
-    assert "--car: only with --listen or --gym ID" in one_line_in(capsys)
+    assert "--car: no such flag" in one_line_in(capsys)
 
 
 @pytest.mark.parametrize("car", ["{", "[]", '{"wheelbase_m": -1}', '{"max_steering_deg": "NaN"}', '"udacity"'])

@@ -535,7 +535,7 @@ time.sleep(1000)
 
 def test_a_preview_that_does_not_end_is_ended_with_all_its_processes(tmp_path: Path) -> None:
     """Both a viewer and what starts it may be frozen; the recording ends all the same."""
-    line = command_after([with_viewer(DEAF_VIEWER)], "bc-record", "live", "--listen", "--port", 0, "--viewer")
+    line = command_after([with_viewer(DEAF_VIEWER)], "bc-record", "listen", "live", "--port", 0, "--viewer")
     with Process(line, cwd=tmp_path) as record:
         record.wait_for("^stand-in")
         record_process = psutil.Process(record.popen.pid)

@@ -27,7 +27,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def recording() -> Process:
-    return Process(command("bc-record", "mine", "--driver", "me", "--sessions", "my/logs"))
+    return Process(command("bc-record", "me", "mine", "--sessions", "my/logs"))
 
 
 def get(process: Process, address: str = "") -> str:

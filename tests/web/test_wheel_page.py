@@ -36,12 +36,12 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({}, "bc-record drive-1 --driver=me --track=lake --rate=10 --speed=10 --no-page"),
+        ({}, "bc-record me drive-1 --track=lake --rate=10 --speed=10 --no-page"),
         (
             {"name": "a", "track": "random", "seed": "7", "speed": "12.5", "rate": "20"},
-            "bc-record a --driver=me --track=random:7 --rate=20 --speed=12.5 --no-page",
+            "bc-record me a --track=random:7 --rate=20 --speed=12.5 --no-page",
         ),
-        ({"simulator": "any"}, "bc-record drive-1 --driver=me --listen --speed=10 --no-page"),
+        ({"simulator": "any"}, "bc-record listen drive-1 --me --speed=10 --no-page"),
         (
             {"driver": "run", "run": "r", "track": "hairpins:3"},
             "bc-drive r --takeover=me --speed=10 --simulator=hairpins:3 --log=drives/drive-1.mcap --no-page",
@@ -221,7 +221,7 @@ def test_driving_on_begins_where_the_drive_ended_as_it_was_driven(bench: Served)
     asked = dict(re.findall(r'name="(\w+)" value="([^"]*)"', page.partition("Drive on from here")[0]))
     folders = ProjectFolders(bench.folder / "sessions", drives=bench.folder / "drives")
     step_m = load_track("lake").line.step_m
-    expected = f"bc-record mine-2 --driver=me --track=lake --rate=20 --start={200 * step_m + 1.3:.1f} --speed=17.5"
+    expected = f"bc-record me mine-2 --track=lake --rate=20 --start={200 * step_m + 1.3:.1f} --speed=17.5"
     assert shlex.join(new_drive(asked, folders).words).startswith(expected)
     write_log(bench.folder / "drives" / "mine-2.mcap", [0.1])
     assert new_drive(asked, folders).key == "mine-3"
@@ -253,7 +253,7 @@ def test_a_log_whose_settings_cannot_be_driven_gives_the_forms_own(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     driven_log(Path("sessions") / "a.mcap", 1, **{"track": "", "drive.rate": "nan", "set_speed_mph": "--force"})
-    line = "bc-record a-2 --driver=me --listen --speed=10 --no-page"
+    line = "bc-record listen a-2 --me --speed=10 --no-page"
     assert shlex.join(new_drive({"like": "sessions/a", "on": "1"}, ProjectFolders()).words) == line
 
 

@@ -86,8 +86,8 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     speed = f"--speed={settings['speed']}"
     built_in = settings["simulator"] == "built-in"
     if settings["driver"] == "me":
-        words = ["bc-record", name, "--driver=me"]
-        words += [f"--track={_track(settings)}", f"--rate={settings['rate']}"] if built_in else ["--listen"]
+        words = ["bc-record", "me", name] if built_in else ["bc-record", "listen", name, "--me"]
+        words += [f"--track={_track(settings)}", f"--rate={settings['rate']}"] if built_in else []
         words += _start(settings) if built_in else []
         words += [speed, *folders.flags("sessions")]
         return NewDrive([*words, "--no-page"], "sessions", name)
