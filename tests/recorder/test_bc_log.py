@@ -130,7 +130,7 @@ def test_a_finding_ends_with_3_and_json_tells_each(
     assert capsys.readouterr().out.splitlines() == [
         f"{place(path)}: 12 messages, 9 pictures decoded: 1 finding",
         "  values out of range: row 1, 0.1 to 0.1 s (steering, a pedal or a speed that no car has)",
-        f"  `bc-log tag {place(path)} exclude --odd` excludes all that is sure",
+        *[f"  `bc-log tag {path} exclude --odd` excludes all that is sure"] * (place(path) == path),
     ]
     assert call(main, "check", place(path), "--json") == 3
     told = json.loads(capsys.readouterr().out)
