@@ -242,10 +242,8 @@ def test_info_of_an_unfinished_log_says_so(
 # tag, trim and the others, as commands
 
 
-def test_tags_are_given_listed_and_removed(
-    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = place(write_log(tmp_path / "a.mcap", [0.1] * 50))
+def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     assert call(main, "tag", path) == 0
     assert capsys.readouterr() == ("", f"{path}: no tags\n")
     assert call(main, "tag", path, "exclude", "--start", 1, "--end", 2) == 0
