@@ -60,11 +60,15 @@ class FolderUpload:
         is removed.
 
         Raises ObjectExistsError, before anything is copied, if an object that is not of an earlier call has
-        another content (unless `overwrite`); StoreError; OSError.
+        another content (unless `overwrite`), or if there are only other objects; StoreError; OSError.
         """
         stored, record = stored_files(self.url), _read_record(self.url)
         recorded = {} if record is None else record.files
         files = {name: _entry(path) for name, path in local_files(self._folder).items()}
+        if record is None and stored and stored.keys().isdisjoint(files):
+            raise ObjectExistsError(
+                f"{self.url} holds other files: give a new place, such as {self.url / self._folder.name}"
+            )
         changed = []
         for name, file in files.items():
             if (there := stored.get(name)) is not None:
@@ -121,6 +125,10 @@ def download_folder(url: Url, folder: Path, *, unfinished: bool = False) -> bool
             for name, there in stored.items()
         ):
             return False
+        raise UserError(
+            f"{folder} exists already, with other files: give a new place, such as {folder / url.name}, or move it"
+            " away"
+        )
     size = sum(there.size for there in stored.values())
     with (
         new_folder(folder) as part,

@@ -128,6 +128,16 @@ def test_nothing_is_overwritten_unasked(
         assert files(Path("back")) == {"mine": b"mine"}
 
 
+def test_a_run_does_not_mix_with_others(bucket: Bucket, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy(run, RUN)
+    capsys.readouterr()
+    assert copy(run, "s3://logs/runs", "--force") == 1
+    assert f"s3://logs/runs holds other files: give a new place, such as {RUN}" in one_line_in(capsys)
+    assert not (bucket.folder / "runs/config.json").exists()
+    assert copy(RUN, "runs") == 1
+    assert "runs exists already, with other files: give a new place, such as runs/night" in one_line_in(capsys)
+
+
 def test_an_upload_that_was_cut_off_is_not_taken_for_a_run(
     bucket: Bucket, run: Path, seen: dict[str, bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:
