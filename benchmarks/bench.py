@@ -78,7 +78,7 @@ def indexing(inputs: Path, scratch: Path, _: object) -> Iterator[float]:
 def replying(inputs: Path, scratch: Path, stack: ExitStack) -> Iterator[float]:
     """Let `bc-drive` with the default network answer a client with one message in flight. Yields replies per
     second."""
-    from driving import untrained_run  # tests/helpers/driving.py
+    from tests.helpers.driving import untrained_run
 
     if not any(inputs.glob("*.jpg")):
         write_pictures(None, inputs)

@@ -164,8 +164,8 @@ def _bytes_read() -> int:
 
 def print_long(sessions: Path, server: Server) -> None:
     """Print the requests for a log with 32,000 more, empty chunks."""
-    sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-    from long_log import lengthened
+    sys.path.append(str(Path(__file__).parents[1]))
+    from tests.helpers.long_log import lengthened
 
     short = min(sessions.glob("*.mcap"), key=lambda log: log.stat().st_size)
     url = Url("s3", BUCKET, "long.mcap")

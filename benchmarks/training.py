@@ -26,7 +26,6 @@ from typing import IO, Final
 
 import numpy as np
 
-from common.allowed_places import folders_of, remember_places
 from common.location import local_path
 from dataset import Samples
 from dataset.parquet_file import write_table
@@ -146,8 +145,6 @@ def write_pictures(index: Path, folder: Path, count: int) -> int:
             for session, log in samples.logs.items()
         }
         write_table(folder / "index" / SAMPLES_NAME, table, {**samples.metadata, "logs": logs})
-        # else an index outside its logs' project may not refer to them
-        remember_places(folder / "index", folder, folders_of(log.path for log in samples.logs.values()))
         listed = csv.writer(stream)
         for number, row in enumerate(table.to_pylist()):
             jpeg = samples.logs[row["session"]].read(row["offset"], row["length"], row["chunk"])

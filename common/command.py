@@ -9,13 +9,12 @@ from __future__ import annotations
 import contextlib
 import inspect
 import logging
+import os
 import re
-import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from functools import partial
-from typing import Any, Final, NoReturn, TypeVar
+from typing import Any, Final, TypeVar
 
 import tyro
 
@@ -23,12 +22,11 @@ from common.errors import Skipped, UsageError, UserError
 from common.flag_errors import flag_errors_in_one_line, refuse_empty_flags
 from common.flag_help import asks_for_help, print_help
 from common.flag_types import quick_types
-from common.interrupts import GracefulStop, handle_signals
+from common.interrupts import interrupting_signals
 from common.location_flag import path_flags
-from common.output import MessageHandler, clear_live_displays, print_message, print_result
-from common.streams import drain, end_process, nonblocking_streams, stdout_error
+from common.output import MessageHandler, print_message, print_result
+from common.streams import command_streams
 from common.versions import version_of
-from common.wake_main_thread import signals_wake_main_thread
 
 DONE, FAILED, BAD_USAGE, DONE_BUT_SKIPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -95,23 +93,27 @@ def run_command(
     `description` is the beginning of `--help`, by default the docstring of `config`. `default` makes the default
     configuration, if it is not known before.
 
-    If the reader of the output has gone, the output is dropped and the action continues. Ctrl-C ends the action; a
-    second Ctrl-C ends the process, as `kill -9` does: files have a temporary name until they are complete.
+    Ctrl-C, `kill` and a closed terminal end the action: files have a temporary name until they are complete.
     """
-    announce = partial(print_message, "stopping; Ctrl-C again ends at once", heading=f"{prog}:")
-    with nonblocking_streams(), GracefulStop(partial(_force_quit, prog), announce) as stop:
-        # one handler for all signals: `kill` cleans up as Ctrl-C does
-        with signals_wake_main_thread(), handle_signals(signal.default_int_handler), _logging_as_messages():
-            try:
+    _hold_standard_streams()
+    with command_streams():
+        try:
+            with interrupting_signals(), _logging_as_messages():
                 about = f"{_paragraphs(description or config.__doc__ or '')}\n\n{_VERSION_FLAG}"
                 code = _run(prog, config, action, about, default)
-                drain(is_patient=not stop.is_requested)
-            except KeyboardInterrupt:
-                code = INTERRUPTED
-        if why := stdout_error():
-            code = print_error(prog, UserError(f"standard output: {why}"))
-            drain(is_patient=False)
+        except KeyboardInterrupt:  # while the command was ending already
+            code = INTERRUPTED
     sys.exit(code)
+
+
+def _hold_standard_streams() -> None:
+    """A file that is opened must not get the number of a standard stream that is closed (`2>&-`): libraries print
+    there, and would print into it."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free: this one
 
 
 def _paragraphs(docstring: str) -> str:
@@ -130,14 +132,6 @@ def _logging_as_messages() -> Iterator[None]:
         yield
     finally:
         logging.getLogger().removeHandler(handler)
-
-
-def _force_quit(prog: str) -> NoReturn:
-    try:
-        clear_live_displays()
-        print_message("ended at once; unfinished files have names that end in .part", heading=f"{prog}:")
-    finally:
-        end_process(INTERRUPTED)
 
 
 def _run(

@@ -10,15 +10,11 @@ import dataclasses
 import itertools
 import sys
 from collections.abc import Iterator, Sequence
-from types import UnionType
-from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import tyro
 
 from common.errors import UsageError, did_you_mean
-
-_NUMBERS: Final = {"INT": "whole number", "FLOAT": "number"}
-_COUNTS: Final = {1: "a", 2: "two", 3: "three"}
 
 
 @contextlib.contextmanager
@@ -42,8 +38,8 @@ def flag_errors_in_one_line(config: Any) -> Iterator[None]:
 
 
 def _line_of(event: Any, config: Any) -> str:
-    subcommands = {name for name in _names_of(config) if not name.startswith("-")}
-    command = dict.fromkeys([*event.prog.split(), *subcommands.intersection(sys.argv[1:2])])
+    subcommand = [name for name in _commands_of(config) if name in sys.argv[1:2]]
+    command = dict.fromkeys([*event.prog.split(), *subcommand])
     help_line = f"`{' '.join(command)} --help-all` has all flags"
     match type(event).__name__:
         case "UnrecognizedArgs":
@@ -60,14 +56,11 @@ def _line_of(event: Any, config: Any) -> str:
             meant = did_you_mean(event.value, choices, "; ")
             return f"{_name_of(event.argument)} {event.value}: expected one of {', '.join(choices)}{meant}"
         case "BadValue" if event.reason == "too_few_values":
-            if event.argument.is_positional():
-                return f"{_name_of(event.argument)} is missing; {help_line}"
             return f"{_name_of(event.argument)}: expected {_expected(event.argument)} after it; {help_line}"
         case "InstantiationFailure" if event.argument is not None:
-            is_empty_word = event.argument.is_positional() and "" in sys.argv
-            words = ["" if is_empty_word else _name_of(event.argument), *_words_after(event.argument)]
-            shown = " ".join(word or "''" for word in words)
-            return f"{shown}: expected {_expected(event.argument)}; {help_line}"
+            is_positional = event.argument.is_positional()  # then it is an empty word, of a shell's unset variable
+            name = "''" if is_positional else _name_of(event.argument)
+            return f"{name}: expected {_expected(event.argument)}; {help_line}"
         case "InstantiationFailure":  # a config's own ValueError, which names the flag
             return str(event.message)
     raise AttributeError(type(event).__name__)
@@ -75,38 +68,23 @@ def _line_of(event: Any, config: Any) -> str:
 
 def _unknown(tokens: Sequence[str], config: Any) -> str:
     """The error about the first unknown flag, or else about the first unexpected word."""
-    names = list(_names_of(config))
-    subcommands = [name for name in names if not name.startswith("-")]
-    if subcommands and tokens[0] == next(iter(sys.argv[1:]), None) and not tokens[0].startswith("-"):
-        meant = did_you_mean(tokens[0], subcommands)
-        return f"{tokens[0]}: no such command; {meant or 'the commands are ' + ', '.join(subcommands)}"
+    commands = _commands_of(config)
+    if commands and tokens[0] == sys.argv[1] and not tokens[0].startswith("-"):
+        meant = did_you_mean(tokens[0], commands)
+        return f"{tokens[0]}: no such command; {meant or 'the commands are ' + ', '.join(commands)}"
     flag = next((token for token in tokens if token.startswith("-")), None)
     if flag is None:
-        return _too_many(tokens[0], _of_command_line(config))
+        return f"{tokens[0]}: one word too many; put names with spaces in quotes, and words before all flags"
     flag = flag.partition("=")[0]
     if instead := getattr(config, "REMOVED", {}).get(flag):
         return f"{flag}: was removed; {instead}"
-    if flag in names:  # of another subcommand
-        return f"{flag}: not a flag of this command"
+    names = [_name_on_command_line(field, notes) for field, notes in _flags_of(_of_command_line(config))]
     return f"{flag}: no such flag{did_you_mean('--' + flag.lstrip('-'), names, '; ')}"
 
 
-def _too_many(word: str, config: Any) -> str:
-    """The error about a word that belongs to no flag. tyro has read the words before it."""
-    too_many = f"{word}: one word too many"
-    before = sys.argv[1 : sys.argv.index(word)] if word in sys.argv[1:] else []
-    flags = [place for place, token in enumerate(before) if token.startswith("--")]
-    switch = next((token for token in sys.argv[1:] if token.endswith(f"={word}")), "")
-    if switch and word not in sys.argv[1:]:
-        return f"{switch}: {switch.partition('=')[0]} takes no value"
-    if flags and dataclasses.is_dataclass(config):
-        hints = get_type_hints(config, include_extras=True)
-        after = f"{too_many} after {' '.join(before[flags[-1] :])}"
-        if any(_takes_several_words(hint) for hint in hints.values()):
-            return f"{after}; put words without a flag before all flags"
-        if choices := list(_choices(hints.get(before[flags[-1]][2:].replace("-", "_")))):
-            return f"{after}; {before[flags[-1]]} is {' or '.join(choices)}"
-    return f"{too_many}; put a name with spaces in quotes"
+def _commands_of(config: Any) -> list[str]:
+    """The subcommands of a command; empty if it has none."""
+    return [kind.__metadata__[0].name for kind in get_args(config)]
 
 
 def _of_command_line(config: Any) -> Any:
@@ -133,6 +111,8 @@ def refuse_empty_flags(config: Any) -> None:
 
 def _flags_of(config: Any) -> Iterator[tuple[dataclasses.Field[Any], tuple[Any, ...]]]:
     """The flags of a dataclass, and of the dataclasses in it, each with the notes of its type."""
+    if not dataclasses.is_dataclass(config):  # subcommands, and none of them on the command line
+        return
     hints = get_type_hints(config, include_extras=True)
     for flag in dataclasses.fields(config):
         hint = hints[flag.name]
@@ -143,56 +123,15 @@ def _flags_of(config: Any) -> Iterator[tuple[dataclasses.Field[Any], tuple[Any, 
             yield flag, getattr(hint, "__metadata__", ())
 
 
-def _choices(hint: Any) -> Iterator[str]:
-    if get_origin(hint) is Literal:
-        yield from map(str, get_args(hint))
-    else:
-        for part in get_args(hint):
-            yield from _choices(part)
+def _name_on_command_line(flag: dataclasses.Field[Any], notes: Sequence[Any]) -> str:
+    name = next((note.name for note in notes if getattr(note, "name", None)), flag.name)
+    return ("--no-" if flag.default is True else "--") + name.replace("_", "-")
 
 
-def _takes_several_words(hint: Any) -> bool:
-    is_positional = tyro.conf.Positional in getattr(hint, "__metadata__", ())
-    return is_positional and get_origin(get_args(hint)[0]) is tuple
-
-
-def _names_of(kind: Any) -> Iterator[str]:
-    """Yield all flags and subcommands of a command. `kind` is its dataclass, or the union of its subcommands'
-    dataclasses."""
-    if get_origin(kind) in (Union, UnionType):
-        for variant in get_args(kind):
-            yield from (note.name for note in variant.__metadata__)
-            yield from _names_of(variant.__origin__)
-        return
-    for flag, notes in _flags_of(kind):
-        if tyro.conf.Positional not in notes and tyro.conf.Suppress not in notes:
-            name = next((note.name for note in notes if getattr(note, "name", None)), flag.name)
-            dashes = "--no-" if flag.default is True else "--"
-            yield dashes + name.replace("_", "-")
+def _expected(argument: Any) -> str:
+    metavar = str(argument.lowered.metavar)
+    return {"INT": "a whole number", "FLOAT": "a number"}.get(metavar, metavar)
 
 
 def _name_of(argument: Any) -> str:
     return str(argument.lowered.metavar if argument.is_positional() else argument.lowered.name_or_flags[-1])
-
-
-def _words_after(argument: Any) -> list[str]:
-    """The words after a flag on the command line, up to the next flag."""
-    names = {name.replace("_", "-") for name in argument.lowered.name_or_flags}
-    for at, token in enumerate(sys.argv[1:], start=2):
-        flag, equals, value = token.partition("=")
-        if flag.replace("_", "-") in names:
-            if equals:
-                return [value]
-            words = sys.argv[at:]
-            end = next((i for i, word in enumerate(words) if word.startswith("--")), len(words))
-            return words[:end]
-    return []
-
-
-def _expected(argument: Any) -> str:
-    """The values that a flag expects: "two whole numbers" for "INT INT"; other types as in `--help`."""
-    metavar = str(argument.lowered.metavar)
-    kinds = metavar.split()
-    if kinds and kinds[0] in _NUMBERS and set(kinds) == {kinds[0]} and len(kinds) in _COUNTS:
-        return f"{_COUNTS[len(kinds)]} {_NUMBERS[kinds[0]]}{'s' * (len(kinds) > 1)}"
-    return metavar

@@ -22,7 +22,7 @@ from common.object_file import ObjectFile
 from common.object_store import OnBytes, StoredObject, list_below, put_file, put_over, read_object
 from common.progress import progress_bar, progress_task
 from common.tasks import in_threads
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

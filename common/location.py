@@ -56,11 +56,6 @@ class Url:
     def with_name(self, name: str) -> Url:
         return self.parent / name
 
-    def is_in(self, folder: Url) -> bool:
-        """True if `folder`, or a folder within it, contains this place."""
-        is_same_bucket = (self.scheme, self.bucket) == (folder.scheme, folder.bucket)
-        return is_same_bucket and self.key.startswith(f"{folder.key}/" if folder.key else "")
-
     def name_in(self, folder: Url) -> str:
         """The path relative to `folder`, which contains this place."""
         return self.key.removeprefix(f"{folder.key}/")
@@ -90,12 +85,6 @@ def location(text: str | Location) -> Location:
     if not bucket:
         raise UsageError(f"{text}: the bucket is missing; expected {scheme}://BUCKET/NAME")
     return Url(scheme, bucket, "/".join(filter(None, key.split("/"))))
-
-
-def is_in_store(text: str) -> bool:
-    """True if the text is the URL of an object or folder in a store."""
-    match = _URL.fullmatch(text)
-    return match is not None and match[1].lower() in SCHEMES
 
 
 def absolute(place: Location) -> Location:

@@ -17,7 +17,7 @@ import sys
 import sysconfig
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.control import Control
@@ -28,7 +28,6 @@ from rich.table import Table
 from rich.text import Text
 
 from common.errors import printable
-from common.streams import unescaped
 
 _COMMAND: Final = re.compile(
     r"(`|&& )"
@@ -45,7 +44,7 @@ _WITHOUT_BAR: Final = Control(  # erases the line of an interrupted progress bar
 def print_result(*lines: str) -> None:
     """Print results on stdout, each in one line."""
     # On a terminal, a progress bar has replaced stdout and prints lines above the bar; a file gets plain lines.
-    stream = sys.stdout if sys.stdout.isatty() else unescaped(sys.stdout)
+    stream = sys.stdout if sys.stdout.isatty() else _without_bar(sys.stdout)
     for line in lines:
         print(safe_line(line), file=stream, flush=True)
 
@@ -81,7 +80,7 @@ def print_table(*parts: RenderableType) -> None:
 
     Nothing is cut: cells are folded on a terminal; lines have any length in a pipe or a file."""
     # emoji: `:car:` in a name stays text
-    console = _SafeConsole(file=unescaped(sys.stdout), highlight=False, emoji=False)
+    console = _SafeConsole(file=_without_bar(sys.stdout), highlight=False, emoji=False)
     is_free = not sys.stdout.isatty() and "COLUMNS" not in os.environ
     for part in parts:
         if isinstance(part, Table):
@@ -114,7 +113,7 @@ def _min_width(table: Table, console: Console) -> int:
 
 def message_console() -> Console:
     """A console on stderr for live displays: progress bars, a status line."""
-    return _SafeConsole(file=unescaped(sys.stderr), soft_wrap=True, highlight=False, emoji=False)
+    return _SafeConsole(file=_without_bar(sys.stderr), soft_wrap=True, highlight=False, emoji=False)
 
 
 def add_live_display(console: Console) -> None:
@@ -126,6 +125,12 @@ def remove_live_display(console: Console) -> None:
     """Call this when the live display has been erased."""
     if console in _live_displays:
         _live_displays.remove(console)
+
+
+def _without_bar(stream: TextIO) -> TextIO:
+    """The stream that a progress bar has replaced."""
+    beneath: TextIO = getattr(stream, "rich_proxied_file", stream)
+    return beneath
 
 
 def clear_live_displays() -> None:

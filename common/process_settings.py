@@ -1,11 +1,13 @@
-"""Settings of this process: memory, threads, open files."""
+"""Settings of this process: memory, threads, open files, its end."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import os
+import signal
 import sys
+import threading
 from typing import Final
 
 if sys.platform != "win32":
@@ -74,3 +76,18 @@ def use_large_pages() -> None:
     memory (Intel Xeon without AMX).
     """
     os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
+
+
+def end_with_parent() -> None:
+    """Start a thread that ends this process, as `kill` does, when its parent has ended: the parent keeps the
+    process's stdin open, and writes nothing to it."""
+
+    def end() -> None:
+        while os.read(0, 1024):
+            pass
+        if sys.platform == "win32":
+            os.kill(os.getpid(), signal.SIGTERM)
+        else:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # wakes it from any wait
+
+    threading.Thread(target=end, name="parent", daemon=True).start()

@@ -1,8 +1,8 @@
-"""Standard output and error that never delay a command: a separate thread writes the lines.
+"""Standard output and error of a command. If the reader has gone (`| head -1`, a closed terminal), only the unread
+lines are lost: the command finishes its work, and ends with its own exit code.
 
-A pipe that nobody reads accepts 64 KiB, and a terminal stopped by Ctrl-S less. After that a write waits, and a
-simulator would wait for its answer. If the reader has gone (`| head -1`, a closed terminal), only the unread lines
-are lost: the command finishes its work, and ends with its own exit code.
+A drive never waits for its reader (`never_wait`): a pipe that nobody reads accepts 64 KiB, and a terminal stopped
+by Ctrl-S less. After that a write waits, and a simulator would wait for its answer.
 """
 
 from __future__ import annotations
@@ -11,103 +11,32 @@ import contextlib
 import errno
 import io
 import os
-import re
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from queue import SimpleQueue
-from typing import Any, Final, NoReturn, TextIO
-
-from common.errors import counted
-from common.interrupts import leave_signals_to_main_thread
+from queue import Full, Queue
+from typing import Final, TextIO
 
 MAX_QUEUED: Final = 10_000
-"""Texts that wait for their reader. If the queue is full, messages are dropped and counted; results wait."""
+"""Texts of a drive that wait for their reader; more are dropped."""
+_PATIENCE_S: Final = 2.0  # at the end of a drive, for a reader that reads nothing
 _POLL_S: Final = 0.01
-_PATIENCE_S: Final = 2.0  # at the end, for a reader that reads nothing
 _GONE: Final = {errno.EPIPE, errno.EIO, errno.ECONNRESET, errno.EBADF, errno.ENXIO}
-_COLOUR_OR_OTHER: Final = re.compile(r"\x1b\[[0-9;]*m|[^\n\t]")
+
+_waiting: Queue[tuple[CommandStream, bytes]] | None = None
 
 
-class BackgroundWriter:
-    """Writes to a terminal, a pipe or a file on a separate thread."""
+class CommandStream(io.TextIOBase):
+    """A text stream that is written at once, without a buffer or a lock, and that may lose its reader."""
 
-    def __init__(self, raw: Any) -> None:
-        """`raw`: an unbuffered binary file."""
-        self._raw = raw
-        self._waiting: SimpleQueue[bytes | threading.Event] = SimpleQueue()  # `put` may be interrupted by a `put`
-        self._lost = 0
-        self._taken_bytes = 0
-        self._carries_results = False
-        self.error: OSError | None = None
-        threading.Thread(target=self._run, name="output", daemon=True).start()
-
-    def put(self, data: bytes, *, is_result: bool) -> None:
-        """Queue `data`. Returns at once for a message; for a result, waits while the queue is full."""
-        self._carries_results |= is_result
-        while self._waiting.qsize() >= MAX_QUEUED and self.error is None:
-            if not is_result:
-                self._lost += 1
-                return
-            time.sleep(_POLL_S)
-        self._waiting.put(data)
-
-    def drain(self, *, is_patient: bool) -> None:
-        """Wait until everything is written, or the reader has gone.
-
-        If the reader has stopped reading, as `less` does until somebody scrolls: wait without limit if
-        `is_patient` and results were written, else `_PATIENCE_S`.
-        """
-        done = threading.Event()
-        self._waiting.put(done)
-        taken_bytes, since_s = self._taken_bytes, time.monotonic()
-        while not done.wait(0.1):
-            if self._taken_bytes != taken_bytes:
-                taken_bytes, since_s = self._taken_bytes, time.monotonic()
-            elif not (is_patient and self._carries_results) and time.monotonic() - since_s >= _PATIENCE_S:
-                return
-
-    def _run(self) -> None:
-        leave_signals_to_main_thread()
-        while True:
-            item = self._waiting.get()
-            if isinstance(item, threading.Event):
-                item.set()
-                continue
-            self._write(item)
-            if self._lost and self._waiting.empty():
-                lost, self._lost = self._lost, 0
-                self._write(f"({counted(lost, 'message')} lost here: nobody read them)\n".encode())
-
-    def _write(self, data: bytes) -> None:
-        left = memoryview(data)
-        while left and self.error is None:
-            try:
-                taken_bytes = self._raw.write(left)
-            except OSError as error:
-                self.error = error
-                return
-            if taken_bytes is None:  # full, and non-blocking because the parent process has set it so
-                time.sleep(_POLL_S)
-                continue
-            self._taken_bytes += taken_bytes
-            left = left[taken_bytes:]
-
-
-class BackgroundStream(io.TextIOBase):
-    """A text stream to a `BackgroundWriter`. It escapes control characters except colours; `unescaped` is the same
-    stream without escaping, for callers that escape by themselves."""
-
-    def __init__(self, writer: BackgroundWriter, stream: TextIO, *, is_result: bool, escapes: bool = True) -> None:
-        """`stream` is the stream that this one replaces."""
-        self.writer = writer
+    def __init__(self, stream: TextIO, name: str) -> None:
+        """`stream` is the stream that this one replaces; errors have the `name`, unless it is empty."""
+        stream.flush()
         self._stream = stream
-        self._is_result = is_result
-        self._escapes = escapes
-        self.unescaped = self
-        if escapes:
-            self.unescaped = BackgroundStream(writer, stream, is_result=is_result, escapes=False)
+        self._descriptor = stream.fileno()
+        self._name = name
+        self._is_lost = False
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
@@ -118,14 +47,24 @@ class BackgroundStream(io.TextIOBase):
         return "backslashreplace"  # file names may have characters that the encoding lacks
 
     def write(self, text: str) -> int:
-        safe = text if not self._escapes or text.isprintable() else _COLOUR_OR_OTHER.sub(_escaped, text)
-        if os.linesep != "\n":
-            safe = safe.replace("\n", os.linesep)
-        self.writer.put(safe.encode(self.encoding, self.errors), is_result=self._is_result)
+        data = text.replace("\n", os.linesep).encode(self.encoding, self.errors)
+        if _waiting is None:
+            self.write_now(data)
+        else:
+            with contextlib.suppress(Full):
+                _waiting.put_nowait((self, data))
         return len(text)
 
-    def flush(self) -> None:
-        """Do nothing: the stream keeps no text back, and never waits for its reader."""
+    def write_now(self, data: bytes) -> None:
+        while data and not self._is_lost:
+            try:
+                data = data[os.write(self._descriptor, data) :]
+            except BlockingIOError:  # full, and non-blocking because the parent process has set it so
+                time.sleep(_POLL_S)
+            except OSError as error:
+                self._is_lost = True
+                if self._name and error.errno not in _GONE:  # such as a full disk
+                    raise OSError(error.errno, error.strerror, self._name) from None
 
     def writable(self) -> bool:
         return True
@@ -134,61 +73,51 @@ class BackgroundStream(io.TextIOBase):
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        return self._stream.fileno()
+        return self._descriptor
 
 
 @contextlib.contextmanager
-def nonblocking_streams() -> Iterator[None]:
-    """Replace `sys.stdout` and `sys.stderr` in the block by streams that never wait. Call `drain` before the end.
-
-    Streams without a file descriptor (a test has replaced them) stay unchanged.
-    """
+def command_streams() -> Iterator[None]:
+    """Replace `sys.stdout` and `sys.stderr` in the block, unless they have no file descriptor, as in tests."""
     before = sys.stdout, sys.stderr
     if any(stream is not None and not _is_of_system(stream) for stream in before):
         yield
         return
+    # None: closed from the start
     out, err = (stream or open(os.devnull, "w", encoding="utf-8") for stream in before)  # noqa: SIM115, PTH123
-    writer = BackgroundWriter(_raw(out))
-    # both on one terminal: one writer keeps the order of the lines
-    other = writer if os.path.sameopenfile(out.fileno(), err.fileno()) else BackgroundWriter(_raw(err))
-    sys.stdout = BackgroundStream(writer, out, is_result=True)
-    sys.stderr = BackgroundStream(other, err, is_result=False)
+    sys.stdout, sys.stderr = CommandStream(out, "standard output"), CommandStream(err, "")
     try:
         yield
     finally:
+        _finish()
         sys.stdout, sys.stderr = before
 
 
-def drain(*, is_patient: bool = True) -> None:
-    """Wait until all lines of stdout and stderr are written. See `BackgroundWriter.drain`."""
-    for stream in (sys.stdout, sys.stderr):
-        beneath = unescaped(stream)
-        if isinstance(beneath, BackgroundStream):
-            beneath.writer.drain(is_patient=is_patient)
-        elif beneath is not None:  # closed from the start
-            beneath.flush()
+def never_wait() -> None:
+    """From now on, a thread writes what this command prints."""
+    global _waiting
+    if isinstance(sys.stdout, CommandStream) and _waiting is None:
+        _waiting = Queue(MAX_QUEUED)
+        threading.Thread(target=_write_waiting, args=(_waiting,), name="output", daemon=True).start()
 
 
-def stdout_error() -> str | None:
-    """The reason why results could not be written, such as a full disk. None if all were written, or if the reader
-    has gone."""
-    beneath = unescaped(sys.stdout)
-    error = beneath.writer.error if isinstance(beneath, BackgroundStream) else None
-    return None if error is None or error.errno in _GONE else error.strerror
+def _write_waiting(waiting: Queue[tuple[CommandStream, bytes]]) -> None:
+    while True:
+        stream, data = waiting.get()
+        with contextlib.suppress(OSError):
+            stream.write_now(data)
+        waiting.task_done()
 
 
-def end_process(code: int) -> NoReturn:
-    """Write the lines that the reader still accepts, then end at once, as `os._exit` does."""
-    try:
-        drain(is_patient=False)
-    finally:
-        os._exit(code)
-
-
-def unescaped(stream: TextIO) -> TextIO:
-    """The stream beneath `stream` that does not escape, also if a progress bar has replaced it."""
-    beneath = getattr(stream, "rich_proxied_file", stream)
-    return getattr(beneath, "unescaped", beneath)
+def _finish() -> None:
+    """Wait until all is written, or until the reader has read nothing for `_PATIENCE_S`."""
+    global _waiting
+    left, since_s = 0, time.monotonic()
+    while _waiting is not None and _waiting.unfinished_tasks and time.monotonic() - since_s < _PATIENCE_S:
+        if _waiting.unfinished_tasks != left:
+            left, since_s = _waiting.unfinished_tasks, time.monotonic()
+        time.sleep(_POLL_S)
+    _waiting = None
 
 
 def _is_of_system(stream: TextIO) -> bool:
@@ -197,14 +126,3 @@ def _is_of_system(stream: TextIO) -> bool:
     except (OSError, ValueError):
         return False
     return hasattr(stream, "buffer")
-
-
-def _raw(stream: Any) -> Any:
-    """The unbuffered file of a stream; under `python -u`, the buffer itself is unbuffered."""
-    stream.flush()
-    return getattr(stream.buffer, "raw", stream.buffer)
-
-
-def _escaped(match: re.Match[str]) -> str:
-    text = match[0]
-    return text if len(text) > 1 or text.isprintable() else ascii(text)[1:-1]

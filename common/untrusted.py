@@ -1,4 +1,4 @@
-"""Read untrusted files, links and numbers without blocking, filling the memory or ending the process."""
+"""Read untrusted files, links, numbers and JSON without blocking, filling the memory or ending the process."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import errno
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, TypeVar
+
+import msgspec
+
+Expected = TypeVar("Expected")
 
 # Without these flags, opening a pipe would wait for its writer, and a terminal would become this process's own.
 _FLAGS: Final = (
@@ -68,3 +72,11 @@ def whole_number(text: str, max_digits: int = 15) -> int | None:
     `int` itself accepts signs, spaces and underscores, and raises ValueError for more than 4,300 digits.
     """
     return int(text) if text.isascii() and text.isdigit() and len(text) <= max_digits else None
+
+
+def json_as(text: str | bytes, kind: type[Expected]) -> Expected | None:
+    """The parsed JSON as a `kind`; None if it is no valid JSON of this type, or nested too deeply."""
+    try:
+        return msgspec.json.decode(text, type=kind)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None

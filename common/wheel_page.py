@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from common.command import warn
-from common.interrupts import GracefulStop, stop_signals
+from common.interrupts import is_command_stopped, stop_signals
 from common.location import Location
 from common.output import print_message
 
@@ -51,7 +51,7 @@ def wheel_page(key: str, folders: Mapping[str, Location], *, opens: bool) -> Ite
 
 def wait_until_left(log: Path) -> None:
     """After a drive was ended on its page, wait for Ctrl-C: the page has buttons for the next steps."""
-    if GracefulStop.current is None or not GracefulStop.current.is_requested:
+    if not is_command_stopped():
         print_message(f"{log} is finished; the page stays until Ctrl-C")
         with stop_signals() as stopped:
             stopped.wait()

@@ -15,11 +15,6 @@ Samples                 the samples of an index as a table, and their pictures
 decode, preprocess      decode a JPEG, and convert the picture to the network's input
 """
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
-
 from typing import TYPE_CHECKING
 
 from common.car import MAX_STEERING_DEG

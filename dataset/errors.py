@@ -17,10 +17,6 @@ class DatasetError(UserError):
     """The index is missing, empty, damaged, or older than its logs; or a picture cannot be decoded."""
 
 
-class PlaceNotAllowedError(DatasetError):
-    """The index refers to a log outside the allowed places, which is not opened."""
-
-
 class UnusablePictureError(DatasetError):
     """A picture cannot be decoded or read. Only this picture is left out. `kind` is the reason in `Skipped`."""
 

@@ -14,7 +14,7 @@ from common.errors import UsageError
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import check_where, read_frames
 from dataset.index.build_state import FRAMES_FOLDER
-from dataset.samples.frame_choice import choose_frames
+from dataset.samples.sample_choice import choose_frames
 from dataset.samples.samples_format import SessionLabels
 from dataset.samples.samples_reader import Samples
 from recorder.lerobot.export import Exported, export_lerobot

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import tyro
 
-from common.allowed_places import allow_places
 from common.command import run_command
 from recorder.log_export_cli import print_exported, refuse_no_text
 
@@ -22,8 +21,6 @@ class ExportIndex:
     """The new folder of the dataset."""
     index: Path = Path("index")
     """The index."""
-    sessions: Path = Path("sessions")
-    """Folder of the logs, for an index that was built elsewhere."""
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
     """Only rows that meet this condition on the index's columns."""
     task: str = "Drive along the road."
@@ -38,7 +35,6 @@ def export(config: ExportIndex) -> int:
     from dataset.frames.frames_file import check_where
     from dataset.index_export import export_index
 
-    allow_places(config.sessions)
     refuse_no_text(("--task", config.task), ("--license", config.license))
     if config.where is not None:
         check_where(config.where)

@@ -8,11 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from behavioural_cloning_toolkit import NEEDS
 from generated_blocks import ROOT, update
 
 PICTURE: Final = ROOT / "docs" / "pictures" / "architecture.svg"
-ROOMS: Final = tuple(reversed(NEEDS))
+ROOMS: Final = ("web", "drive", "viz", "model", "dataset", "recorder", "simulator", "common")
 
 
 def main() -> None:

@@ -1,10 +1,5 @@
 """Driving: the network's command for each telemetry message, the log of the drive, and closed-loop evaluation."""
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
-
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

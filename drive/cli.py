@@ -20,6 +20,7 @@ from common.location import shown_address
 from common.output import print_message, print_next, print_result
 from common.preview import has_display, preview
 from common.progress import StatusLine
+from common.streams import never_wait
 from common.wheel_page import wait_until_left, wheel_page
 from drive.config import DriveConfig
 from drive.drive_flags import Drive, refuse_contradictions, with_default_driver
@@ -64,6 +65,7 @@ def drive(config: Drive) -> int:
     run = find_run(config.run, config.runs)
     settings, pilot = _load(config, settings, run)
     prepare_to_drive()
+    never_wait()
     with contextlib.ExitStack() as page:  # it outlives the drive, because it shows the next steps
         with (
             StatusLine() as status,
@@ -164,6 +166,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     from recorder.sources.gymnasium_car import GymnasiumCar
 
     run = find_run(config.run, config.runs)
+    never_wait()
     with GymnasiumCar(config.environment) as car, stop_signals() as stopped, contextlib.ExitStack() as after:
         check_pedals(car)
         settings, pilot = _load(config, settings, run)

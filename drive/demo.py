@@ -19,7 +19,6 @@ from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command
 from common.errors import UsageError
 from common.output import print_message, print_result, shell_command
 from common.progress import duration_text
-from common.streams import drain
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,6 @@ def _program(name: str) -> str:
 def _run(command: str, folder: Path) -> int:
     """Run a command to its end. Returns its exit code. Raises UserError if it fails."""
     name, *arguments = shlex.split(command)
-    drain()  # before the command prints
     process = subprocess.Popen([_program(name), *arguments], cwd=folder)
     try:
         code = process.wait()

@@ -18,7 +18,7 @@ from common.locks import is_being_written
 from model.runs.advice import Advice
 from recorder.log.logs_in_folder import logs_in
 from recorder.log.tags import FINE, tags_path
-from recorder.rows.odd_stretches import ODD_KINDS
+from recorder.rows.odd_stretches import title_of
 from recorder.upkeep.log_info import LogInfo, describe
 
 MAX_COMMANDS: Final = 3
@@ -111,7 +111,7 @@ def _odd_rows(name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: 
     for info in odd[:_MAX_NAMED]:
         path = shlex.quote(info.path)
         stretches, rows = info.odd or [], sum(info.odd_rows.values())
-        kinds = ", ".join(f"{ODD_KINDS.get(kind, kind)}: {count:,}" for kind, count in info.odd_rows.items())
+        kinds = ", ".join(f"{title_of(kind)}: {count:,}" for kind, count in info.odd_rows.items())
         longest = max(stretches, key=lambda stretch: stretch.last_row - stretch.first_row)
         at = f"the longest stretch: rows {longest.first_row} to {longest.last_row}"
         diagnosis.odd.append(printable(f"{path}: {counted(rows, 'odd row')} of {info.rows:,} ({kinds}); {at}"))
@@ -125,9 +125,8 @@ def _odd_rows(name: str, logs: Iterable[LogInfo], diagnosis: Diagnosis, wanted: 
 
 def _index(diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> None:
     from dataset import sessions_not_indexed
-    from dataset.index.not_learnt import EARLIER_RULES, has_earlier_rules
     from dataset.parquet_file import read_metadata
-    from dataset.samples.samples_format import SAMPLES_NAME
+    from dataset.samples.samples_format import EARLIER_RULES, SAMPLES_NAME, has_earlier_rules
 
     index, sessions = Path("index"), Path("sessions")
     if not (index / SAMPLES_NAME).exists():

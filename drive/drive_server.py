@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, Self
 
 from common import UserError
 from common.errors import counted
-from common.interrupts import StopEvent, force_quit_announced
+from common.interrupts import StopEvent
 from dataset.picture_spec import metadata_of
 from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
@@ -211,11 +211,7 @@ class DriveServer:
     def _notify_stopping(self, *, may_hurry: bool) -> None:
         """Give the notices of the braking. With `may_hurry`, a second Ctrl-C ends the drive at once."""
         for text in sorted({session.stop_notice for session in self._stopping if session.stop_notice}):
-            if not may_hurry:
-                self._notify_once(text)
-            elif (text := f"{text}; Ctrl-C again ends at once") not in self._notified:
-                self._notify_once(text)
-                force_quit_announced()
+            self._notify_once(f"{text}; Ctrl-C again ends at once" if may_hurry else text)
 
     def _push(self, command_of: Callable[[DriveSession], Steer | None]) -> None:
         """Send due commands to simulators that send no telemetry. The built-in simulator needs none."""

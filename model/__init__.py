@@ -19,11 +19,6 @@ predict_log     what runs would have steered in a log
 export_onnx     a run's network for ONNX Runtime
 """
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
-
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
-from common.allowed_places import allow_places
 from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, first_of, printable
 from common.files import short_path
@@ -51,7 +50,6 @@ def train(config: Train) -> int:
     like = run if is_resumed else None
     if config.like is not None:
         like = find_any_run(config.like, config.runs)
-    allow_places(config.sessions, config.drives)
     summary = _try_network(config, run, init, like)
     listeners = _listeners(config, run)
     is_own_index = bool(config.on or config.takeovers)
@@ -103,7 +101,7 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     from model.runs.run_folder import WEIGHTS, load_config
     from model.runs.run_numbers import run_numbers
     from model.runs.run_summary import judge
-    from model.runs.training_outcome import outcome_lines
+    from model.runs.training_progress import outcome_lines
 
     run, code = trained.run, max([DONE, *map(warn, trained.notices)])
     for remark in trained.remarks:
@@ -218,9 +216,8 @@ def _index_of(config: Train, like: Path | None) -> tuple[Path, int]:
     """The index to train on, built if missing, and the exit code of its notices. `like` is the run to resume or
     repeat."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
-    from dataset.index.not_learnt import not_learnt_in
     from dataset.missing_index import missing_index
-    from dataset.samples.samples_format import SAMPLES_NAME
+    from dataset.samples.samples_format import SAMPLES_NAME, not_learnt_in
 
     is_built = (config.index / SAMPLES_NAME).is_file()
     if like is not None and (config.resume is None or not is_built):

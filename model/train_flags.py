@@ -106,7 +106,7 @@ def defaults() -> Train:
             from model.runs.network_of_run import choice_of, is_own_network
             from model.runs.provenance import training_of
             from model.runs.run_folder import find_any_run, load_config
-            from model.runs.run_inputs import allowed_index_of, init_of, sessions_of
+            from model.runs.run_inputs import init_of, local_index_of, sessions_of
 
             run = find_any_run(name, runs)
             stored = load_config(run)
@@ -118,7 +118,7 @@ def defaults() -> Train:
             init = init_of(run, runs) if flags.resume is None else None
             return Train(
                 init=str(init) if init is not None else None,
-                index=Train.index if flags.index else allowed_index_of(run) or Train.index,
+                index=Train.index if flags.index else local_index_of(run) or Train.index,
                 sessions=flags.sessions or sessions_of(run) or Train.sessions,
                 config=settings,
             )

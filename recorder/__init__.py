@@ -1,10 +1,5 @@
 """The log: its messages, its writer and reader, and the recordings that become logs."""
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
-
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

@@ -16,7 +16,7 @@ from common.errors import counted, printable
 from common.location import Location, Url, location
 from common.output import print_next, print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
-from recorder.log.tags import EXCLUDE, Tag
+from recorder.log.tags import EXCLUDE, Tag, TaggedRows
 from recorder.log_flag import SESSIONS
 from recorder.topics import VEHICLE
 
@@ -36,7 +36,7 @@ _EXCLUDES: Final = "excludes all that is surely odd"
 def print_info(info: LogInfo) -> None:
     from recorder.log.session_car import is_angle_unknown
     from recorder.rows.label_plan import NOT_MEASURED
-    from recorder.rows.steering_report import steering_line
+    from recorder.rows.steering_habits import steering_line
 
     driven = f", {info.driven_s:,.1f} s driven" if info.driven_s is not None else ""
     size = f"{info.size_bytes / 1e6:,.1f} MB"
@@ -70,15 +70,15 @@ def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
 
 def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     from recorder.log.known_lag import lag_path
-    from recorder.rows.steering_report import lag_in_words
-    from recorder.upkeep.check_contents import ODD_FINDINGS
+    from recorder.rows.causes import CAUSES
+    from recorder.rows.steering_habits import lag_in_words
 
     decoded = f", {counted(checked.pictures, 'picture')} decoded" if checked.pictures else ""
     verdict = counted(len(checked.findings), "finding") if checked.findings else "nothing wrong"
     print_result(f"{checked.path}: {counted(checked.messages, 'message')}{decoded}: {verdict}")
-    places = Skipped()
+    places, odd_kinds = Skipped(), {cause.several for cause in CAUSES.values()}
     for finding in checked.findings:
-        if finding.kind not in ODD_FINDINGS.values():  # odd stretches are named below, with their causes
+        if finding.kind not in odd_kinds:  # odd stretches are named below, with their causes
             places.add(finding.kind, finding.where)
     for line in places.lines(MAX_PLACES):
         print_result(f"  {line}")
@@ -142,7 +142,6 @@ def _odd_lines(
 ) -> list[str]:
     """The odd stretches of a log, and, on this machine, what to do about them; excluded ones are only counted.
     `is_looked`: as in `odd_advice`."""
-    from recorder.log.tagged_rows import TaggedRows
     from recorder.rows.odd_stretches import odd_advice, odd_lines
 
     left = TaggedRows(tags, EXCLUDE).untagged(odd)
@@ -213,8 +212,6 @@ def step_of_list(logs: Sequence[LogInfo]) -> NextStep:
 
 def _left(info: LogInfo, odd: Sequence[OddStretch] | None) -> list[OddStretch]:
     """The stretches `odd` of a log that are not excluded."""
-    from recorder.log.tagged_rows import TaggedRows  # NumPy
-
     return TaggedRows(info.tags, EXCLUDE).untagged(odd or ())
 
 

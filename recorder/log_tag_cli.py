@@ -94,7 +94,7 @@ class NameRows:
         from common.stretches import stretches
         from recorder.log.reader import Log
         from recorder.log.road_places import states_of
-        from recorder.log.tagged_rows import fine_rows
+        from recorder.log.tags import fine_rows
         from recorder.rows.condition import log_columns, rows_where
         from recorder.rows.odd_stretches import odd_stretches
 

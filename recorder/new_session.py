@@ -9,7 +9,6 @@ from pathlib import Path
 from common.command import warn_skipped
 from common.errors import counted
 from common.output import print_message, print_next, print_result
-from recorder.rows.label_plan import wrong_timing
 from recorder.rows.odd_stretches import odd_advice, odd_lines
 from recorder.sources.imported_rows import Imported
 from recorder.upkeep.log_info import describe
@@ -35,10 +34,6 @@ def _print_recorded(done: Imported) -> None:
         f"{done.path}: {counted(done.rows, 'row')}, {counted(done.pictures, 'picture')}, {size_mb:,.1f} MB"
     )
     info = describe(done.path, with_tags=False)
-    if info.lag is not None and info.lag.is_mirrored:
-        print_message(f"{done.path}: its pictures turn the other way: is left right?", style="yellow")
-    if info.lag is not None and (timing := wrong_timing(info.lag)):
-        print_message(f"{done.path}: its steering is {timing}", style="yellow")
     odd = info.odd or ()
     for line in odd_lines(odd):
         print_message(line, heading="odd:", style="yellow")

@@ -1,11 +1,6 @@
 """The built-in simulator: tracks, a vehicle, cameras, an expert driver, and a client for the protocol of Udacity's
 simulator. It does not read logs."""
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
-
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

@@ -22,9 +22,9 @@ import numpy as np
 from printed_table import print_head, print_row
 
 from recorder import Log
+from recorder.log.road_places import beyond_edge_m
 from recorder.log.road_places import states_of as states_of_log
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
-from recorder.rows.road_edge import beyond_edge_m
 from recorder.rows.row_quality import States
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName

@@ -10,13 +10,13 @@ import pytest
 from common.car import CAMERAS
 from dataset import IndexConfig, Samples, build_index
 from dataset.cli import main as bc_index
-from dataset.index.not_learnt import not_learnt_in
+from dataset.samples.samples_format import not_learnt_in
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
-from udacity import call
+from tests.helpers.udacity import call
 
 START_NS = 1_767_225_600 * 10**9
 RATE_HZ = 10

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from dataset import Samples
-from driving import PATIENCE_S, environment
-from repository import ROOT
+from tests.helpers.driving import PATIENCE_S, environment
+from tests.helpers.repository import ROOT
 
 PAGES = [ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMAND = re.compile(

@@ -16,8 +16,8 @@ from PIL import Image, ImageSequence
 
 import make_architecture
 import make_commands
-from driving import COMMANDS, Process, command
-from repository import ROOT
+from tests.helpers.driving import COMMANDS, command, environment
+from tests.helpers.repository import ROOT
 
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")), ROOT / "benchmarks" / "README.md"]
 SOURCES = [path for room in make_architecture.ROOMS for path in make_architecture.modules(room)]
@@ -30,11 +30,11 @@ def helps() -> dict[str, str]:
 
     def help_of(name: str) -> str:
         command_name, *subcommand = name.split()
-        python, flag, code, *arguments = command(command_name, *subcommand, "--help-all")
-        code = f"import os; os.environ['COLUMNS'] = '{make_commands.COLUMNS}'; {code}"
-        with Process([python, flag, code, *arguments], loads_pytorch=True) as process:
-            assert process.join() == 0, process.stderr
-        return process.stdout
+        line = command(command_name, *subcommand, "--help-all")  # in a process: tyro keeps what it has parsed
+        columns = {"COLUMNS": str(make_commands.COLUMNS)}
+        done = subprocess.run(line, env=environment() | columns, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
 
     return make_commands.commands(help_of)
 
@@ -146,8 +146,7 @@ def test_the_lines_that_troubleshooting_quotes_are_printed() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     quoted = re.findall(r"`([^`]+)`", "".join(re.findall(r"^> .*$", page, re.MULTILINE)))
     assert len(quoted) > 25
-    sources = [ROOT / "behavioural_cloning_toolkit.py", *SOURCES]
-    texts = {text for path in sources for text in texts_in(path)}
+    texts = {text for path in SOURCES for text in texts_in(path)}
     not_printed = []
     for line in quoted:
         pattern = re.compile(".*".join(map(re.escape, line.split("…"))), re.DOTALL)

@@ -13,14 +13,14 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from dataset.cli import main as bc_index
-from driving import road_jpeg
 from model.cli import main as bc_train
-from other_logs import CAMERA, write_bag
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
-from repository import ROOT
-from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import call
+from tests.helpers.driving import road_jpeg
+from tests.helpers.other_logs import CAMERA, write_bag
+from tests.helpers.repository import ROOT
+from tests.helpers.tubs import record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.udacity import call
 
 PICTURES = 60
 STEERING = [math.sin(number / 5) * 0.8 for number in range(PICTURES)]

@@ -11,17 +11,17 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket, end_uploads, in_parts_of, serving_bucket, unfinished_parts
 from common.location import Url
 from dataset import IndexConfig, build_index
-from faulty_proxy import FAULTS
-from logs import write_log
 from recorder import Log
 from recorder.log.logs_in_folder import logs_in
 from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
-from udacity import jpeg
+from tests.helpers.bucket import Bucket, end_uploads, in_parts_of, serving_bucket, unfinished_parts
+from tests.helpers.faulty_proxy import FAULTS
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import jpeg
 
 SETTINGS = IndexConfig(labels="as-recorded", block_s=1, gap_s=0)
 TAG = Tag(1, 2, "exclude")

@@ -16,7 +16,6 @@ from common.versions import VERSION
 from dataset import DatasetError, Samples, build_index, decode, load
 from dataset.frames.frames_file import FRAMES_FORMAT
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT
-from kept_files import DATA, ROWS
 from model import load_pilot
 from model.runs.checkpoint import FORMAT as CHECKPOINT_FORMAT
 from model.runs.run_config import DRIVABLE
@@ -24,7 +23,8 @@ from model.runs.run_config import FORMAT as RUN_FORMAT
 from model.runs.run_summary import summarize_run
 from recorder import Log
 from recorder.upkeep.check import check
-from repository import ROOT
+from tests.helpers.kept_files import DATA, ROWS
+from tests.helpers.repository import ROOT
 
 VERSIONS = sorted(path.name for path in DATA.iterdir())
 WITH_DIVIDED = [version for version in VERSIONS if (DATA / version / "divided").is_dir()]
@@ -37,7 +37,7 @@ def expected(version: str) -> dict[str, Any]:
 
 
 def test_this_version_has_files_and_all_of_them_are_small() -> None:
-    assert VERSION in WITH_RUN, "python tests/helpers/kept_files.py"
+    assert VERSION in WITH_RUN, "python -m tests.helpers.kept_files"
     assert sum(path.stat().st_size for path in DATA.rglob("*") if path.is_file()) <= 2_000_000
 
 

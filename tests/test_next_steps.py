@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from dataset.cli import main as bc_index
-from logs import write_log
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
-from udacity import call, jpeg, make_recording, paths
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call, jpeg, make_recording, paths
 
 STEERING = [0.1 * (row % 7 - 3) for row in range(60)]
 

@@ -25,28 +25,26 @@ import numpy as np
 import pytest
 import yaml
 
-from bucket import serving_bucket
-from clusters import ray_cluster
 from common.car import Camera
 from common.errors import UserError
 from common.ray_cluster import (
     ClusterError,
     cluster_tasks,
-    package_versions,
     print_node_message,
-    refuse_other_node,
 )
 from common.tasks import Tasks, one_by_one
 from dataset import build_index
 from drive.config import DriveConfig
 from drive.evaluation.closed_loop import drive_runs
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import one_line_of, run, run_code, untrained_run
-from logs import not_a_picture, write_log
-from ports import free_ports
 from recorder.upkeep.check import check
-from repository import ROOT
-from waiting import wait_until
+from tests.helpers.bucket import serving_bucket
+from tests.helpers.clusters import ray_cluster
+from tests.helpers.driving import one_line_of, run_alone, run_code, untrained_run
+from tests.helpers.logs import not_a_picture, write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.repository import ROOT
+from tests.helpers.waiting import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +104,8 @@ def index_files(index: Path) -> dict[str, bytes]:
 def test_the_index_has_the_same_bytes_and_omits_a_damaged_log(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", picture=tiny_picture)
     (tmp_path / "sessions" / "damaged.mcap").write_bytes(b"this is no log")
-    local = run("bc-index", "--look", "--index", "here", cwd=tmp_path)
-    remote = run("bc-index", "--look", "--index", "there", "--ray", small_cluster.address, cwd=tmp_path)
+    local = run_alone("bc-index", "--look", "--index", "here", cwd=tmp_path)
+    remote = run_alone("bc-index", "--look", "--index", "there", "--ray", small_cluster.address, cwd=tmp_path)
     assert (local.returncode, remote.returncode) == (3, 3), remote.stderr
     assert messages(remote.stderr) == [line.replace("here", "there") for line in messages(local.stderr)]
     assert "sessions/damaged.mcap: not an MCAP log" in remote.stderr
@@ -238,7 +236,7 @@ def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
     with ray_cluster(nodes=0) as cluster:
         start = [str(tmp_path / "bare" / "bin" / "python"), "-c", ray, "start", "--num-cpus", "1"]
         subprocess.run([*start, "--address", cluster.address], check=True, capture_output=True, env=without)
-        done = run("bc-index", "--ray", cluster.address, cwd=tmp_path)
+        done = run_alone("bc-index", "--ray", cluster.address, cwd=tmp_path)
     assert "cannot import dataset: every node needs behavioural-cloning-toolkit[scale]" in one_line_of(done)
     assert done.returncode == 1
 
@@ -248,7 +246,7 @@ def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: st
     drives(tmp_path / "sessions", sessions=1)
     with socket.create_server(("127.0.0.1", 0)) as mute:
         address = f"{scheme}127.0.0.1:{mute.getsockname()[1]}"
-        done = run("bc-index", "--ray", address, cwd=tmp_path)
+        done = run_alone("bc-index", "--ray", address, cwd=tmp_path)
     assert one_line_of(done) == (
         f"bc-index: --ray {address}: the cluster cannot be reached (no answer); run `ray status` on its head"
     )
@@ -271,7 +269,7 @@ def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeyp
         with ThreadPoolExecutor() as other:
             other.submit(answer)
             # a process of its own: in one that Ray has been in, it does not look for a token again, and waits
-            done = run("bc-index", "--ray", address, cwd=tmp_path)
+            done = run_alone("bc-index", "--ray", address, cwd=tmp_path)
     assert "no token: run `ray get-auth-token` on" in one_line_of(done)
     assert done.returncode == 1
 
@@ -294,30 +292,12 @@ def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> No
         pass
 
 
-def test_a_node_that_would_write_other_bytes_or_has_another_disk_is_told(tmp_path: Path) -> None:
-    versions = package_versions()
-    with pytest.raises(ClusterError, match=r"has numpy .*, this machine numpy 1\.0: they must be the same"):
-        refuse_other_node({**versions, "numpy": "1.0"}, Path.cwd())
-    with pytest.raises(
-        ClusterError, match="all nodes must share the disk of logs, index and runs, under the same path"
-    ):
-        refuse_other_node(versions, tmp_path / "elsewhere")
-    refuse_other_node(versions, Path.cwd())
-
-
-def test_a_session_is_not_taken_for_an_address(tmp_path: Path) -> None:
-    drives(tmp_path / "sessions", sessions=1)
-    done = run("bc-index", "--ray", "drive 0", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "expected HOST:PORT, ray://HOST:PORT, auto or local; names go before --ray" in one_line_of(done)
-
-
 @pytest.mark.long
 def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
     untrained_run(tmp_path / "runs" / "untrained")
     drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
-    local = run("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
-    remote = run("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
+    local = run_alone("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
+    remote = run_alone("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
     assert (local.returncode, remote.returncode) == (0, 0), remote.stderr
     # how far it is, where that takes long
     assert all(line.startswith("driving: ") for line in remote.stderr.splitlines()), remote.stderr
@@ -346,7 +326,9 @@ def test_logs_in_a_bucket_are_indexed_by_a_cluster_of_this_machine(
     monkeypatch.setenv("RAY_AUTH_TOKEN", "a" * 64)  # else Ray would leave one in ~/.ray
     with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
         drives(bucket.folder, sessions=3)
-        local = run("bc-index", "--sessions", bucket.url(), "--index", "here", cwd=tmp_path)
-        remote = run("bc-index", "--sessions", bucket.url(), "--index", "there", "--ray", "local", cwd=tmp_path)
+        local = run_alone("bc-index", "--sessions", bucket.url(), "--index", "here", cwd=tmp_path)
+        remote = run_alone(
+            "bc-index", "--sessions", bucket.url(), "--index", "there", "--ray", "local", cwd=tmp_path
+        )
     assert (local.returncode, remote.returncode) == (0, 0), remote.stderr
     assert index_files(tmp_path / "there") == index_files(tmp_path / "here")

@@ -12,13 +12,13 @@ import pytest
 import make_architecture
 from dataset.cli import main as bc_index
 from drive.evaluation.eval_cli import main as bc_eval
-from logs import write_log
 from model.cli import main as bc_train
 from model.runs_cli import main as bc_runs
 from recorder.log_cli import main as bc_log
-from repository import ROOT
-from toy import STEERING, road
-from udacity import call
+from tests.helpers.logs import write_log
+from tests.helpers.repository import ROOT
+from tests.helpers.toy import STEERING, road
+from tests.helpers.udacity import call
 
 EXTRAS = ("ray", "obstore", "boto3")
 

@@ -12,12 +12,12 @@ import torch
 
 from common.car import CAMERAS
 from dataset import IndexConfig, build_index, decode
-from driving import DriveProcess
-from logs import plain_read, read_messages
 from model import TrainConfig, load_pilot, train
 from recorder import import_udacity
 from simulator.protocol.client import SimulatorClient
 from simulator.protocol.replay import replay
+from tests.helpers.driving import DriveProcess
+from tests.helpers.logs import plain_read, read_messages
 from viz import save_rrd
 
 

@@ -1,10 +1,8 @@
-"""How a command begins: Ctrl-C is heard from the first moment, and what is in the way of the rooms is named."""
+"""How a command begins: what it loads, Ctrl-C, errors and exit codes."""
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,20 +11,20 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from test_rooms import MAY_IMPORT
 
 import behavioural_cloning_toolkit
-from driving import COMMANDS, PATIENCE_S, command, environment, run_code
-from logs import write_log
-from repository import ROOT
-from udacity import call
-
-HIDING = {"a module": "{room}.py", "a package": "{room}/__init__.py", "a folder": "{room}/notes.txt"}
+from common.interrupts import STOP_SIGNALS
+from tests.helpers.driving import COMMANDS, PATIENCE_S, environment, run_code
+from tests.helpers.logs import write_log
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call
+from tests.test_rooms import MAY_IMPORT
 
 # Each import of a command's is followed by a signal, at the point that is counted up to on the command line.
 INTERRUPTED_IMPORT = """
 import builtins, os, signal, sys
 import behavioural_cloning_toolkit
+from common.interrupts import STOP_SIGNALS
 name, at = sys.argv.pop(1), int(sys.argv.pop(1))
 wanted, begun = [at], builtins.__import__
 def importing(*given, **named):
@@ -50,6 +48,7 @@ def test_ctrl_c_while_a_command_is_loaded_is_one_line(name: str, at: int) -> Non
 INTERRUPTED_NUMPY = """
 import os, signal, sys
 import behavioural_cloning_toolkit
+from common.interrupts import STOP_SIGNALS
 
 class Interrupting:
     def find_spec(self, name, *_):
@@ -91,86 +90,6 @@ def test_a_command_under_nohup_does_not_hear_a_terminal_that_is_closed() -> None
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("kind", HIDING)
-def test_what_is_in_the_way_of_a_rooms_name_is_named(kind: str, tmp_path: Path) -> None:
-    """A script of a student's, and beside it something that is called as a room is."""
-    hiding = tmp_path / HIDING[kind].format(room="common")
-    hiding.parent.mkdir(exist_ok=True)
-    hiding.touch()
-    script = tmp_path / "mine.py"
-    script.write_text("from recorder import Log\n")
-    variables = environment()
-    if kind == "a folder":  # without an __init__.py it only hides what comes after all folders of the path
-        variables.pop("PYTHONPATH")
-        if subprocess.run([sys.executable, "-c", "import common"], cwd="/", env=variables, check=False).returncode:
-            pytest.skip("the toolkit is not installed")
-    done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
-    )
-    if done.returncode == 0:
-        assert kind == "a folder"  # of an installation that is no link to the sources
-        return
-    last = done.stderr.splitlines()[-1]
-    assert last.startswith("ImportError: ")
-    assert str(hiding if kind != "a folder" else hiding.parent) in last
-    assert "is in the way: Python takes it for this toolkit's `common`; rename it" in last
-
-
-def test_a_module_that_a_room_does_not_need_is_in_nobodys_way(tmp_path: Path) -> None:
-    (tmp_path / "model.py").write_text("mine = True\n")
-    (tmp_path / "mine.py").write_text("from recorder import Log\nfrom model import mine\n")
-    done = subprocess.run([sys.executable, str(tmp_path / "mine.py")], env=environment(), check=False)
-    assert done.returncode == 0
-
-
-def record_installed(folder: Path, package: str, file: str) -> None:
-    """Write down, as pip does, that a package has installed this file into the folder."""
-    record = folder / f"{package}-1.0.dist-info"
-    record.mkdir()
-    (record / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (record / "RECORD").write_text(f"{file},,\n{record.name}/METADATA,,\n")
-
-
-def test_a_package_that_owns_a_rooms_name_is_named(tmp_path: Path) -> None:
-    (tmp_path / "common").mkdir()
-    (tmp_path / "common" / "__init__.py").touch()
-    record_installed(tmp_path, "othertool", "common/__init__.py")
-    variables = environment()
-    variables["PYTHONPATH"] = os.pathsep.join([str(tmp_path), variables["PYTHONPATH"]])
-    done = subprocess.run(
-        command("bc-log", "--help"), cwd="/", env=variables, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1
-    assert done.stderr == (
-        "bc-log: `common` is also a name of another installed package (othertool), which hides this toolkit's:"
-        " `pip uninstall othertool`, or install the toolkit into an environment of its own\n"
-    )
-
-
-@pytest.mark.parametrize("is_uninstalled", [False, True])
-def test_a_package_that_has_written_over_a_room_is_named(is_uninstalled: bool, tmp_path: Path) -> None:
-    """As `dataset` of the package index does, where both are installed."""
-    shutil.copy(ROOT / "behavioural_cloning_toolkit.py", tmp_path)
-    (tmp_path / "dataset").mkdir()
-    (tmp_path / "dataset" / "config.py").touch()
-    if not is_uninstalled:
-        (tmp_path / "dataset" / "__init__.py").write_text("from dataset.database import Database\n")
-        record_installed(tmp_path, "dataset", "dataset/__init__.py")
-    variables = {**environment(), "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(
-        command("bc-index", "--help"), cwd="/", env=variables, capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    if is_uninstalled:
-        why = "this toolkit's `dataset` was overwritten by another package of that name: install the toolkit again"
-    else:
-        why = (
-            "another installed package (dataset) has written its `dataset` over this toolkit's: `pip uninstall"
-            " dataset` and install the toolkit again, or install it into an environment of its own"
-        )
-    assert done.stderr == f"bc-index: {why}\n"
 
 
 HEAVY = [
@@ -250,12 +169,6 @@ def test_commands_do_not_mind_what_lies_in_the_working_folder(tmp_path: Path) ->
     assert done.returncode == 0
 
 
-def test_every_room_looks_whether_those_under_it_are_ours() -> None:
-    for room, under in MAY_IMPORT.items():
-        if under:
-            assert "refuse_hidden(__name__)" in (ROOT / room / "__init__.py").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(
     ("error", "told"),
     [
@@ -293,40 +206,13 @@ def run_action(body: str) -> subprocess.CompletedProcess[str]:
 
 
 ACTION = """
-import os, signal, sys, time, weakref
+import os, signal, sys, time
 from dataclasses import dataclass
-from pathlib import Path
 from common.command import run_command
-from common.files import atomic_file
-from common.interrupts import stop_signals, uninterrupted
 
 @dataclass
 class Nothing:
     pass
-
-def sleep():
-    while True:  # a signal that comes just before a long sleep would be heard after it
-        time.sleep(0.01)
-
-def noted(stopped):
-    while not stopped.wait(0.01):
-        pass
-
-def begun():
-    print("begun", file=sys.stderr)
-
-def interrupted_in_a_callback():
-    thing = Nothing()
-    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT) or sleep())
-    del thing
-
-def slow(work):
-    try:
-        begun()
-        sleep()
-    finally:
-        begun()
-        work()
 
 def act(config):
     {body}
@@ -334,37 +220,21 @@ def act(config):
 
 run_command("bc-test", Nothing, act)
 """
-WAYS = {
-    "tidying up": "slow(lambda: sleep())",
-    "uninterrupted": "slow(lambda: uninterrupted().__enter__() or sleep())",
-    "a stop that is noted": ("with stop_signals() as stopped:\n        begun(); noted(stopped); begun(); sleep()"),
-    "a file half written": (
-        "with atomic_file(Path('whole'), overwrite=False) as part:\n"
-        "        part.write_bytes(b'half'); slow(lambda: sleep())"
-    ),
-}
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_second_ctrl_c_ends_at_once_and_says_so(way: str, tmp_path: Path) -> None:
-    line = [sys.executable, "-c", ACTION.format(body=WAYS[way])]
-    with subprocess.Popen(line, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        try:
-            assert process.stderr.readline() == "begun\n"
-            process.send_signal(signal.SIGINT)
-            assert process.stderr.readline() == "begun\n"
-            process.send_signal(signal.SIGTERM)  # which comes twice by itself, and does not count
-            assert process.stderr.readline() == "bc-test: stopping; Ctrl-C again ends at once\n"
-            process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE_S) == 130
-        finally:
-            process.kill()
-        assert process.stderr.read() == "bc-test: ended at once; unfinished files have names that end in .part\n"
-    assert all(path.suffix == ".part" for path in tmp_path.iterdir())
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_a_signal_ends_a_command_with_one_line(number: signal.Signals) -> None:
+    done = run_action(f"os.kill(os.getpid(), {number:d}); time.sleep({PATIENCE_S})")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "bc-test: stopped\n")
 
 
-def test_a_ctrl_c_that_comes_while_python_tidies_up_is_not_lost() -> None:
-    """What is raised in a callback of a weak reference goes no further, and the command would wait for ever."""
-    done = run_action("interrupted_in_a_callback(); sleep()")
+def test_a_second_ctrl_c_ends_what_tidies_up() -> None:
+    stop = "os.kill(os.getpid(), signal.SIGINT)"
+    done = run_action(f"""
+    try:
+        {stop}
+        time.sleep({PATIENCE_S})
+    finally:
+        {stop}
+        time.sleep({PATIENCE_S})""")
     assert (done.returncode, done.stderr) == (130, "bc-test: stopped\n")

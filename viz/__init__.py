@@ -1,10 +1,5 @@
 """Visualization: logs in the Rerun viewer, with a layout for their topics."""
 
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)
-
-
 from typing import TYPE_CHECKING
 
 from common.lazy import lazy_names

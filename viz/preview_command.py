@@ -7,7 +7,7 @@ import shlex
 from common import UserError
 from common.command import INTERRUPTED, run_command
 from common.files import final_path
-from common.parent_process import end_with_parent
+from common.process_settings import end_with_parent
 from viz.cli import play
 from viz.config import Play
 from viz.console import set_program_name

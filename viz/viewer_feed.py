@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 from typing import Final
 
@@ -12,7 +13,6 @@ from common import UserError
 from common.command import DONE, INTERRUPTED
 from common.interrupts import stop_signals
 from common.output import clear_live_displays
-from common.streams import end_process
 from viz.console import print_notice
 from viz.rrd_file import APPLICATION
 from viz.viewer_process import Viewer, end_viewer, wait_until_closed, wait_until_it_listens
@@ -103,5 +103,5 @@ def _feed_running_viewer(feed: ViewerFeed) -> int:
     if feed.is_alive() or feed.has_unsent:
         clear_live_displays()
         print_notice("stopped; the viewer has not received all data")
-        end_process(INTERRUPTED)
+        os._exit(INTERRUPTED)
     raise KeyboardInterrupt

@@ -19,7 +19,6 @@ from urllib.parse import urlsplit
 import rerun_cli
 
 from common import UserError
-from common.interrupts import leave_signals_to_main_thread
 from common.output import print_message
 from viz.console import browser_hint
 
@@ -80,7 +79,6 @@ class Viewer(subprocess.Popen[bytes]):
         return self._failure_reason
 
     def _read(self) -> None:
-        leave_signals_to_main_thread()
         assert self.stderr is not None  # noqa: S101
         is_backtrace = False
         with self.stderr as lines:

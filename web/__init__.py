@@ -1,6 +1,2 @@
 """The workbench: sessions, runs and drives in the browser. It uses all other rooms. It reads the files that the
 commands write, and changes them with the functions of the commands."""
-
-from behavioural_cloning_toolkit import refuse_hidden
-
-refuse_hidden(__name__)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common import UserError
-from common.allowed_places import allow_places
 from common.command import DONE, check_port, run_command
 from common.errors import UsageError, counted, printable
 from common.interrupts import stop_signals
@@ -47,7 +46,6 @@ def serve(config: Web, page: str = "") -> int:
     if not config.token and not is_loopback(config.host):
         raise UsageError(f"--no-token lets everybody in who reaches --host {config.host}: leave out one of them")
     _check_folders(config)
-    allow_places(config.sessions, config.drives)
     from web.app import workbench_app
     from web.folders.cache_folder import default_cache_folder
     from web.folders.project_folders import ProjectFolders

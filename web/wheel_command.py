@@ -12,7 +12,7 @@ import tyro
 
 from common import UserError
 from common.command import INTERRUPTED, run_command
-from common.parent_process import end_with_parent
+from common.process_settings import end_with_parent
 from web.cli import Web, serve
 
 

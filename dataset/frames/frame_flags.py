@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final
 
 import msgspec
 import numpy as np
@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.tags import EXCLUDE
+from recorder.rows.causes import PICTURE_FLAGS, ROW_FLAGS
 from recorder.rows.condition import lists_with
-from recorder.rows.row_quality import ROW_FLAGS, RowFlag, States, row_flags
+from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding
 
-PictureFlag = Literal["missing_picture", "broken_picture", "frozen_picture", "steering_against_pictures"]
-FrameFlag = RowFlag | PictureFlag
-FRAME_FLAGS: Final[tuple[FrameFlag, ...]] = (*ROW_FLAGS, *get_args(PictureFlag))
+FRAME_FLAGS: Final = (*ROW_FLAGS, *PICTURE_FLAGS)
 
 Position = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Stretches = tuple[tuple[Position, Position], ...]
@@ -48,18 +47,18 @@ class Paired:
 def frame_flags(states: States, frames: Mapping[Camera, Paired], findings: ImageFindings | None) -> pa.ListArray:
     """The flags of each frame, as lists of strings, for the frames of all cameras one after the other.
 
-    - all flags of `recorder.rows.row_quality.row_flags`
+    - all flags of rows (`States.flags`)
     - `missing_picture`: its row lacks the picture of another camera of the session
     - only with `findings`: `broken_picture` (does not decode), `frozen_picture` (one of at least three equal
       pictures in a row, while the car moves), and `steering_against_pictures`
     """
-    flags: dict[FrameFlag, NDArray[np.bool_]] = {
-        flag: _joined(mask[paired.state] for paired in frames.values()) for flag, mask in row_flags(states).items()
+    flags: dict[str, NDArray[np.bool_]] = {
+        flag: _joined(mask[paired.state] for paired in frames.values()) for flag, mask in states.flags.items()
     }
     lacks = _lacks_a_picture(len(states.row), frames)
     flags["missing_picture"] = _joined(lacks[paired.state] for paired in frames.values())
     if findings is not None:
-        of_pictures: dict[PictureFlag, Mapping[Camera, Stretches]] = {
+        of_pictures: dict[str, Mapping[Camera, Stretches]] = {
             "broken_picture": findings.broken,
             "frozen_picture": findings.frozen,
         }
@@ -103,7 +102,7 @@ def _joined(masks: Iterable[NDArray[np.bool_]]) -> NDArray[np.bool_]:
     return np.concatenate([np.zeros(0, np.bool_), *masks])
 
 
-def _lists(flags: Mapping[FrameFlag, NDArray[np.bool_]], frames: int) -> pa.ListArray:
+def _lists(flags: Mapping[str, NDArray[np.bool_]], frames: int) -> pa.ListArray:
     """Convert masks (N,) to one list of names for each frame. Frames without a flag only take an offset."""
     at: list[NDArray[np.int64]] = [np.flatnonzero(mask) for mask in flags.values()]
     frame = np.concatenate([np.zeros(0, np.int64), *at])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,13 +13,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from common.allowed_places import AllowedPlaces
-from common.errors import UserError, printable
+from common.errors import UserError
 from common.files import session_name
 from common.location import Location, location, relative_to
-from common.untrusted import real_path
 from dataset.config import IndexConfig
-from dataset.errors import DatasetError, PlaceNotAllowedError
+from dataset.errors import DatasetError
 from dataset.frames.image_check_cache import read_image_check
 from recorder import Log
 from recorder.log.tags import Tag
@@ -98,27 +95,6 @@ def log_place(name: str, index: Path) -> Location:
         raise DatasetError(
             f"{index}: the index has an invalid name of a log ({error}); run `bc-index` again"
         ) from None
-
-
-def refuse_other_places(logs: Mapping[str, str], index: Path) -> None:
-    """Raise PlaceNotAllowedError if a log (by session) is outside the places that the index may refer to
-    (`common.allowed_places`). No file is opened for this."""
-    allowed = AllowedPlaces(index, index_project(index))
-    index_place = real_path(index)
-    for session, name in logs.items():
-        place = allowed.outside(log_place(name, index_place))
-        if place is not None:
-            raise PlaceNotAllowedError(
-                f"{printable(str(index))}: names {printable(str(place))} as the log of session"
-                f" {printable(session)}, which is outside the index's project, and you did not build the index on"
-                " this machine; the log is not opened. If it is yours:"
-                f" --sessions {shlex.quote(printable(str(place.parent)))}"
-            )
-
-
-def index_project(index: Path) -> Path:
-    """The folder that contains an index, and usually its sessions."""
-    return real_path(index).parent
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:

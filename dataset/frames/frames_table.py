@@ -24,8 +24,9 @@ from dataset.frames.split import block_numbers, near_validation, validation_bloc
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.tags import Tag
+from recorder.rows.causes import NOT_LEARNT
 from recorder.rows.devices import DEVICES
-from recorder.rows.row_quality import NOT_LEARNT, States, drive_numbers, row_flags
+from recorder.rows.row_quality import States, drive_numbers
 from recorder.topics import VEHICLE_COLUMNS, camera_topic
 
 
@@ -166,6 +167,6 @@ def in_crashes(frames: pa.Table, log: Log) -> NDArray[np.bool_]:
     versions, which lack these flags. `frames` needs the columns row and log_time_ns. Raises LogError if the log is
     damaged."""
     vehicle = log.vehicle()
-    flags = row_flags(States.of(vehicle))
+    flags = States.of(vehicle).flags
     crashed = vehicle.filter(pa.array(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT])))
     return np.isin(moments(frames), moments(crashed))

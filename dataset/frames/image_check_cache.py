@@ -30,12 +30,12 @@ from common.untrusted import read_bounded
 from dataset.errors import index_write_errors, log_problem
 from dataset.frames.frame_flags import ImageFindings, Stretches
 from recorder import Log, LogError
+from recorder.log.known_lag import find_lag, lacks_lag
 from recorder.log.road_places import states_of
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.pictures.image_check import ImageCheck
 from recorder.rows.row_quality import STANDING_MPH
 from recorder.topics import camera_topic
-from recorder.upkeep.log_info import find_lag, lacks_lag
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
 _FORMAT: Final = 1

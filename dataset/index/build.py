@@ -18,7 +18,6 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from common.allowed_places import folders_of, remember_places
 from common.car import MAX_STEERING_DEG
 from common.errors import counted, first_of
 from common.files import session_name
@@ -28,7 +27,7 @@ from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
-from dataset.frames.frames_file import FramesError, check_where, extent_of, file_if_rewritten, index_project
+from dataset.frames.frames_file import FramesError, check_where, extent_of, file_if_rewritten
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import (
     FRAMES_FOLDER,
@@ -118,9 +117,7 @@ def build_index(
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
-                indexed = build.run(state, damaged)
-                remember_places(index, index_project(index), folders_of(by_name.values()))
-                return indexed
+                return build.run(state, damaged)
             except _StaleStateError:
                 state = BuildState.nothing()
             except SessionError as error:

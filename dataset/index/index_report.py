@@ -12,10 +12,10 @@ from common.errors import counted, first_of, printable
 from common.location import Location
 from common.output import print_message, prints_unicode
 from dataset.index.build import Indexed
-from dataset.index.not_learnt import not_learnt_line
 from dataset.index.sessions import unfinished_recordings
-from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels
-from recorder.rows.steering_report import STEERING_HEADINGS, steering_cells
+from dataset.samples.samples_format import COUNT_HEADINGS, Balance, SessionLabels, not_learnt_line
+from recorder.rows.label_plan import wrong_timing
+from recorder.rows.steering_habits import STEERING_HEADINGS, steering_cells
 
 BAR_CELLS = 13  # a line of the table then fits 80 columns
 MAX_BINS = 101  # with more bins, no line for each bin is printed
@@ -89,9 +89,23 @@ def print_log_notices(indexed: Indexed, folder: Location, sessions: Sequence[str
     of these). Returns exit code 3 if there are any, else 0."""
     code = max([DONE, *map(warn, [*indexed.notices, *unfinished_recordings(folder, sessions)])])
     not_learnt = not_learnt_line(indexed.counts)
-    for remark in [*indexed.remarks, *_shared_rows(indexed.labels), *mixed_sizes(indexed.sizes_px), *not_learnt]:
+    steering = [*_wrong_steering(indexed.labels), *_shared_rows(indexed.labels)]
+    for remark in [*indexed.remarks, *steering, *mixed_sizes(indexed.sizes_px), *not_learnt]:
         print_message(remark)
     return code
+
+
+def _wrong_steering(labels: Mapping[str, SessionLabels]) -> list[str]:
+    """A line for each session whose pictures turn the other way, or whose steering is late or early by more than
+    labels correct."""
+    lines = []
+    for name, session_labels in labels.items():
+        lag = session_labels.lag
+        if lag is not None and lag.is_mirrored:
+            lines.append(f"{printable(name)}: its pictures turn the other way: is left right?")
+        elif lag is not None and (timing := wrong_timing(lag)):
+            lines.append(f"{printable(name)}: its steering is {timing}")
+    return lines
 
 
 def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:

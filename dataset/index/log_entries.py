@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import filecmp
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,13 +21,13 @@ from dataset.index.build_state import FRAMES_FOLDER, BuildState, BuiltLog, Stats
 from dataset.index.sessions import name_problem
 from dataset.parquet_file import read_metadata, write_table
 from recorder import Log, LogError
-from recorder.log.known_lag import kept_lag, lag_path, noted_lag
+from recorder.log.known_lag import driven_by, find_lag, known_lag, lag_path
 from recorder.log.session_car import CAR_KEY, foreign_source, known_max_steering_deg, metadata_of, stored_car
-from recorder.log.tagged_rows import tags_of
+from recorder.log.tags import tags_of
 from recorder.pictures.picture_size import width_and_height
 from recorder.rows.steering_habits import LagFinding
-from recorder.topics import QUALITY_METADATA, camera_topic
-from recorder.upkeep.log_info import driven_by, first_picture_sizes, set_speeds_mph
+from recorder.topics import camera_topic
+from recorder.upkeep.log_info import first_picture_sizes, set_speeds_mph
 
 
 def log_entries(
@@ -113,6 +114,8 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
         tags = tags_of(log)
         table = frames_table(log, index, config, tags)
         metadata = frames_metadata(log, index, config, tags)
+        if (lag := _lag(log, index, name)) is not None and isinstance(path, Path):
+            lag_file = stat_of(lag_path(path))  # perhaps just measured
         entry = BuiltLog(
             sources,
             log.fingerprint,
@@ -125,7 +128,7 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
             max_steering_deg=known_max_steering_deg(log),
             source=foreign_source(log),
             car=metadata_of(stored_car(log)).get(CAR_KEY, ""),
-            lag=_lag(log, index, name, has_file=lag_file is not None),
+            lag=lag,
             lag_file=lag_file,
             is_mixed=isinstance(path, Url) and log.is_mixed,
         )
@@ -139,11 +142,15 @@ def _read(name: str, path: Location, index: Path, config: IndexConfig, stage: Pa
     return msgspec.structs.replace(entry, frames=stat_of(new))
 
 
-def _lag(log: Log, index: Path, session: str, *, has_file: bool) -> LagFinding | None:
-    """The lag of a log's steering if it was measured before. No picture is decoded."""
-    lag = noted_lag(log.read_metadata(QUALITY_METADATA)) or (kept_lag(log) if has_file else None)
+def _lag(log: Log, index: Path, session: str) -> LagFinding | None:
+    """The lag of a log's steering. On this machine, it is measured if labels need it and nobody has: in a store,
+    each picture would cost a request."""
+    lag, is_needed = known_lag(log)
     if lag is None and (images := read_image_check(index, session, log.fingerprint)) is not None:
-        return images.lag
+        lag = images.lag
+    if lag is None and is_needed and isinstance(log.path, Path):
+        with contextlib.suppress(Exception):  # OpenCV may fail on untrusted pictures: then nothing is measured
+            return find_lag(log)[0]
     return lag
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from common.process_settings import usable_cores
-from dataset.augment import alter
+from dataset.alterations import alter
 from dataset.errors import UnusablePictureError
 from dataset.frames.distinct_rows import number_distinct
 from dataset.picture_spec import ORIGINAL, PictureSpec

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
+from dataset.alterations import EpochAlterations
 from dataset.config import EpochAlteration
-from dataset.epoch_alterations import EpochAlterations
 from dataset.loader.crops import Crops, Failed, Fill, decoding_threads, prefetched
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName

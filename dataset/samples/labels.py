@@ -18,9 +18,10 @@ from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.drivers import DRIVERS
 from dataset.frames.frame_flags import is_excluded, is_unusable
 from dataset.frames.frames_file import SPLITS, codes
+from recorder.rows.causes import NOT_LEARNT
 from recorder.rows.condition import lists_with
 from recorder.rows.label_plan import LabelPlan
-from recorder.rows.row_quality import GAP_S, NOT_LEARNT
+from recorder.rows.row_quality import GAP_S
 
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, so that stretches do not influence each other."""

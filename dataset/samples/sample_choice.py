@@ -1,16 +1,133 @@
-"""Choose the samples: balance frames and their mirror images, and draw the alterations of the copies."""
+"""Choose the samples: the frames of a session that no rule leaves out, the number of samples in each steering bin,
+their mirror images, and the alterations of the copies.
+
+Most driving is straight ahead: without balancing, a network that always predicts 0 has small errors.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
+from common.car import CAMERAS
 from dataset.config import IndexConfig
-from dataset.samples.balance import Balanced, balance
-from dataset.samples.samples_format import Balance
+from dataset.frames.drivers import DRIVERS, is_taken
+from dataset.frames.frame_flags import is_excluded, is_unusable
+from dataset.frames.frames_file import SPLITS, codes
+from dataset.samples.labels import planned_labels
+from dataset.samples.samples_format import Balance, SessionCounts, SessionLabels
 from dataset.steering_bins import bin_of
+from recorder.rows.causes import NOT_LEARNT
+from recorder.rows.condition import lists_with, rows_where
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """The choice among the N frames of a session, before balancing; arrays (N,)."""
+
+    is_chosen: NDArray[np.bool_]
+    is_training: NDArray[np.bool_]
+    """A chosen frame that is not for training is for validation."""
+    steering: NDArray[np.float64]
+    """The steering to learn, for the centre camera."""
+    counts: SessionCounts
+
+
+def choose_frames(frames: pa.Table, config: IndexConfig, labels: SessionLabels) -> FrameChoice:
+    """Choose frames by the settings. Raises UsageError if `config.where` is no condition on their columns."""
+    split = codes(frames["split"], SPLITS)
+    split = np.where((split == 1) & np.isin(frames["row"].to_numpy(), labels.shared_rows), 2, split)
+    is_bad = is_unusable(frames)
+    is_tagged = is_excluded(frames)
+    camera = codes(frames["camera"], CAMERAS)
+    is_selected = np.isin(camera, [CAMERAS.index(name) for name in config.cameras])
+    if config.where is not None:
+        is_selected &= rows_where(frames, config.where)
+    is_wanted = is_selected & is_taken(codes(frames["driver"], DRIVERS), config.drives)
+    steering, is_odd = planned_labels(frames, labels.plan)
+    usable = is_wanted & ~is_bad & ~is_tagged
+    has_label = ~np.isnan(steering)
+    is_left_out = is_odd & (split != 2)
+    left_out = dict[str, int]()
+    is_open = usable & is_left_out
+    not_measured = int((is_open & (split == 1)).sum())
+    for flag in NOT_LEARNT:
+        is_flagged = is_open & lists_with(frames["flags"], flag)
+        left_out[flag] = int(is_flagged.sum())
+        is_open &= ~is_flagged
+    chosen = usable & has_label & (split != 2) & ~is_left_out
+    counts = SessionCounts(
+        frames=len(frames),
+        training=int((chosen & (split == 0)).sum()),
+        validation=int((chosen & (split == 1)).sum()),
+        gap=int((usable & (split == 2)).sum()),
+        excluded=int((is_wanted & is_tagged).sum()),
+        unusable=int((is_wanted & is_bad & ~is_tagged).sum()),
+        unlabelled=int((usable & ~has_label & (split != 2) & ~is_left_out).sum()),
+        not_asked_for=int((~is_selected).sum()),
+        crashed=left_out["crash"],
+        not_taken_over=int((is_selected & ~is_wanted).sum()),
+        backwards=left_out["backwards"],
+        manoeuvring=left_out["manoeuvring"],
+        parked=left_out["parked"],
+        not_measured=not_measured,
+    )
+    return FrameChoice(chosen, split == 0, steering, counts)
+
+
+PerBin = Literal["mean", "median"] | int
+
+
+@dataclass(frozen=True)
+class Balanced:
+    """The chosen candidates: their positions, and whether each is a copy of another one."""
+
+    chosen: NDArray[np.int64]
+    is_copy: NDArray[np.bool_]
+    per_bin: int  # target for every bin; 0: not balanced
+    short: dict[int, int]  # missing samples of each bin that `max_uses` kept below the target
+
+
+def balance(
+    bin_index: NDArray[Any], bins: int, max_uses: int, random: np.random.Generator, per_bin: PerBin = "mean"
+) -> Balanced:
+    """Bring every non-empty bin to the same number of samples: the mean of the bins, their median, or a number.
+
+    A larger bin is reduced at random. A smaller bin is filled with copies, distributed evenly over its originals.
+    An original is used at most `max_uses` times, including itself.
+    """
+    counts = np.bincount(bin_index, minlength=bins)
+    filled = np.flatnonzero(counts)
+    target = _target(counts[filled], per_bin) if len(filled) else 0
+    chosen: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+    is_copy: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
+    short: dict[int, int] = {}
+    # 16 bits are enough for all bins, and NumPy's stable sort of 16-bit integers takes linear time
+    order = np.argsort(bin_index.astype(np.int16), kind="stable")
+    ends = np.cumsum(counts)
+    for index in filled.tolist():
+        members = order[ends[index] - counts[index] : ends[index]]
+        originals = members if len(members) <= target else np.sort(random.choice(members, target, replace=False))
+        copied = min(target, len(originals) * max_uses) - len(originals)
+        rounds = [random.permutation(originals) for _ in range(-(-copied // len(originals)))]
+        copies = np.concatenate([*rounds, originals[:0]])[:copied]
+        chosen += [originals, copies]
+        is_copy += [np.zeros(len(originals), np.bool_), np.ones(len(copies), np.bool_)]
+        if lacking := target - len(originals) - copied:
+            short[index] = lacking
+    return Balanced(np.concatenate(chosen), np.concatenate(is_copy), target, short)
+
+
+def _target(counts: NDArray[np.int64], per_bin: PerBin) -> int:
+    if per_bin == "mean":
+        return round(float(counts.mean()))
+    if per_bin == "median":
+        return round(float(np.median(counts)))
+    return int(per_bin)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from dataset.augment import ALTERATIONS
+from dataset.alterations import ALTERATIONS
 from dataset.frames.distinct_rows import number_distinct
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 

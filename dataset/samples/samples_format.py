@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from common.errors import counted, first_of, printable
+from dataset.parquet_file import read_metadata
+from recorder.rows.causes import CAUSES, NOT_LEARNT
 from recorder.rows.label_plan import LabelPlan
 from recorder.rows.steering_habits import SteeringHabits, SteeringLag
 
@@ -84,8 +90,14 @@ class SessionCounts:
     not_measured: int | None = None  # frames of these four kinds in blocks for validation; None: earlier version
 
     @property
+    def not_learnt(self) -> dict[str, int]:
+        """The frames left out by each cause of `NOT_LEARNT`."""
+        counts = (self.crashed, self.backwards, self.manoeuvring, self.parked)
+        return dict(zip(NOT_LEARNT, counts, strict=True))
+
+    @property
     def not_driven(self) -> int:
-        return self.crashed + self.backwards + self.manoeuvring + self.parked
+        return sum(self.not_learnt.values())
 
 
 COUNT_HEADINGS: Final = {
@@ -107,3 +119,48 @@ class SessionLabels:
     plan: LabelPlan
     set_speeds_mph: tuple[float, ...] = ()  # that the driver keeps where bends allow; empty for people
     shared_rows: tuple[int, ...] = ()  # rows of a standing car with pictures of another session: not held out
+
+
+EARLIER_RULES: Final = "built by an earlier version, which held out crashes and did not detect all odd frames"
+
+
+def not_learnt_line(counts: Mapping[str, SessionCounts]) -> list[str]:
+    """A line if frames are left out because they are not normal driving: the number in each session, and why."""
+    parts = []
+    for session, session_counts in counts.items():
+        texts = [
+            f"{counted(count, 'frame')} of {CAUSES[name].of_frames}"
+            for name, count in session_counts.not_learnt.items()
+            if count
+        ]
+        if texts:
+            parts.append(f"{printable(session)} ({', '.join(texts)})")
+    if not parts:
+        return []
+    return [
+        f"neither learnt nor held out: {first_of(parts)}; `bc-log info` lists their rows,"
+        " `--labels as-recorded` keeps them"
+    ]
+
+
+def not_learnt_in(index: Path) -> list[str]:
+    """The same line for an existing index. For an index of an earlier version: a line about its earlier rules."""
+    stored = read_metadata(index / SAMPLES_NAME) or {}
+    if has_earlier_rules(stored):
+        flag = "" if index.name == "index" else f" --index {shlex.quote(str(index))}"
+        return [f"{index}: {EARLIER_RULES}; `bc-index{flag}` leaves these out"]
+    try:
+        return not_learnt_line(msgspec.convert(stored["counts"], dict[str, SessionCounts]))
+    except (KeyError, TypeError, ValueError):
+        return []
+
+
+def has_earlier_rules(metadata: Mapping[str, Any]) -> bool:
+    """True if an earlier version built the index with this metadata of samples, and left out fewer frames, or used
+    them for validation."""
+    try:
+        labels = metadata.get("labels", {})
+        kept = {session for session, stored in labels.items() if not stored["plan"]["without_crashes"]}
+        return any("not_measured" not in count for name, count in metadata["counts"].items() if name not in kept)
+    except (KeyError, TypeError, AttributeError):
+        return False

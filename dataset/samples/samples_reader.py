@@ -25,7 +25,7 @@ from common.stored_settings import settings_from
 from common.tasks import in_threads, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
-from dataset.frames.frames_file import log_place, refuse_other_places
+from dataset.frames.frames_file import log_place
 from dataset.missing_index import missing_index
 from dataset.parquet_file import MAX_METADATA_BYTES, METADATA_KEY, read_schema
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, speed_ahead_s_in
@@ -66,8 +66,7 @@ class IndexedLog(NamedTuple):
 class Samples(Closeable):
     """The samples of an index, and the logs with their pictures. Use it as a context manager, or call `close()`.
 
-    Raises DatasetError if the index is missing or damaged, or if a log has changed since it was indexed. Raises
-    PlaceNotAllowedError if an index that was built elsewhere names logs outside its project.
+    Raises DatasetError if the index is missing or damaged, or if a log has changed since it was indexed.
     """
 
     def __init__(self, index: Path | str) -> None:
@@ -91,7 +90,6 @@ class Samples(Closeable):
             raise DatasetError(f"{self.path}: has format {version}, not {SAMPLES_FORMAT}; run `bc-index` again")
         if has_views:
             raise DatasetError(f"{self.path}: has viewpoints of an earlier version; run `bc-index` again")
-        refuse_other_places({session: log.path for session, log in self.sources.items()}, index)
         self.logs = open_logs(index, self.sources)
 
     def close(self) -> None:

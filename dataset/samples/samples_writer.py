@@ -25,12 +25,12 @@ from dataset.config import CORRECTION_SIGNS, IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import codes, read_frames
 from dataset.parquet_file import METADATA_KEY
-from dataset.samples.frame_choice import choose_frames
 from dataset.samples.labels import planned_speed_mph, recorded_throttle
-from dataset.samples.sample_choice import ChosenSamples, choose_samples
+from dataset.samples.sample_choice import ChosenSamples, choose_frames, choose_samples
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_SCHEMA, Balance, SessionCounts, SessionLabels
 from dataset.steering_bins import bin_of
 from recorder.log.tags import EXCLUDE
+from recorder.rows.causes import CAUSES, NOT_LEARNT
 
 FROM_FRAMES: Final = ("session", "row", "camera", "log_time_ns", "offset", "length", "chunk", "split")
 
@@ -133,13 +133,12 @@ def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) ->
         "excluded": f"tagged {EXCLUDE}",
         "unusable": "with a broken picture, or steering outside -1..1",
         "unlabelled": f"too near the end of a stretch for a label{shift}",
-        "crashed": "of a crash",
-        "backwards": "of driving backwards",
-        "manoeuvring": "of manoeuvres",
-        "parked": "of a parked car",
         "gap": "between training and validation",
     }
     totals = {name: sum(getattr(count, name) for count in counts.values()) for name in reasons}
+    for name in NOT_LEARNT:
+        reasons[name] = f"of {CAUSES[name].of_frames}"
+        totals[name] = sum(count.not_learnt[name] for count in counts.values())
     frames = ", ".join(f"{totals[name]:,} {reason}" for name, reason in reasons.items() if totals[name])
     names = first_of([f"{name}.mcap" for name in counts])
     return DatasetError(f"no frame can be used: {frames or f'no picture in {names}; look with `bc-log check`'}")

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
-from common.allowed_places import allow_places
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, usage_errors, warn, warn_skipped
 from common.errors import counted
 from common.output import print_message, print_next, print_result
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
 
 def evaluate(config: Eval) -> int:
     refuse_contradictions(config)
-    if config.sessions is not None:
-        allow_places(config.sessions)
     if config.compare is not None:
         return _compare(config, config.compare)
     return _measure(config) if config.simulator is None else _drive(config)
@@ -90,7 +87,7 @@ def _print_measured_on(measured_on: dict[str, str | None]) -> None:
 
 def _index_of(run: Path) -> Path:
     """The index that the run was trained on; if the run does not name it, index/ in the current folder."""
-    from model.runs.run_inputs import allowed_index_of, index_of
+    from model.runs.run_inputs import index_of, local_index_of
 
     index = index_of(run)
     if index is None:
@@ -100,7 +97,7 @@ def _index_of(run: Path) -> Path:
             f"{index}: the index that {run} was trained on is missing; give --index INDEX, or measure"
             " whole sessions: --session NAME"
         )
-    return allowed_index_of(run) or Path("index")
+    return local_index_of(run) or Path("index")
 
 
 def _print_notices(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:

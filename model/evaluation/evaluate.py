@@ -23,7 +23,7 @@ from common.errors import counted
 from common.location import Location, absolute, location
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index
 from dataset.frames.distinct_rows import by_session
-from dataset.frames.frames_table import in_crashes
+from dataset.frames.frames_table import in_crashes, is_for_training
 from dataset.index.sessions import by_session_name
 from dataset.picture_spec import PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steering_in
@@ -38,7 +38,6 @@ from model.runs.enough_to_drive import Hand
 from model.runs.run_files import without_nan
 from model.runs.run_folder import load_answer_scale, load_config, run_name, speed_ahead_s_of_run, targets_of_run
 from model.runs.run_numbers import index_of_config
-from model.runs.trained_on import count_trained_on
 
 _FROM_INDEX: Final = pa.schema(
     [
@@ -326,3 +325,44 @@ def _as_dict(measures: Measures) -> dict[str, Any]:
         "balanced_rmse_deg": measures.balanced_rmse_deg,
         "bins": [asdict(part) for part in measures.bins],
     }
+
+
+def count_trained_on(frames: Mapping[str, pa.Table], samples: Samples, config: dict[str, Any]) -> int | None:
+    """The number of `frames` that the run with this config was trained on; None if the config does not record it.
+
+    `frames` has a table for each session of `samples`, with the columns row and log_time_ns. Raises LogError for a
+    damaged log.
+    """
+    try:
+        started_from = config["init"]["data"] if "init" in config else []
+        trainings = [_training_data(data) for data in (config["data"], *started_from)]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return None
+    count = 0
+    for session, part in frames.items():
+        is_learnt = np.zeros(len(part), np.bool_)
+        for index_config, names in trainings:
+            for name in names.get(samples.sources[session].fingerprint, ()):
+                is_learnt |= is_for_training(part, samples.logs[session], name, index_config)
+        count += int(is_learnt.sum())
+    return count
+
+
+def _training_data(stored: dict[str, Any]) -> tuple[IndexConfig, dict[str, list[str]]]:
+    """The settings of the split of a training, and its sessions by the fingerprint of their log. Raises KeyError,
+    TypeError, ValueError, AttributeError or OverflowError for invalid data."""
+    # Not by `settings_from`, which would refuse the unknown settings of other versions.
+    settings = stored["settings"]
+    config = IndexConfig(
+        block_s=float(settings["block_s"]),
+        gap_s=float(settings["gap_s"]),
+        validation_share=float(settings["validation_share"]),
+        validation=tuple(map(str, settings["validation"])),
+        seed=int(settings["seed"]),
+        drives="takeovers" if settings.get("drives") == "takeovers" else "all",
+    )
+    "".join(stored["logs"]).encode()  # raises ValueError for lone surrogates, which JSON may hold
+    names: dict[str, list[str]] = {}
+    for session, log in stored["logs"].items():
+        names.setdefault(str(log["fingerprint"]), []).append(session)
+    return config, names

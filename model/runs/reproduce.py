@@ -14,37 +14,40 @@ from common.location import Location, absolute
 from common.stored_settings import settings_from
 from common.untrusted import real_path
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
-from dataset.errors import PlaceNotAllowedError
 from dataset.frames.frames_file import check_where
 from dataset.index.sessions import changed_logs, find_unchanged_log
 from model.errors import RunError
 from model.runs.provenance import StoredData, is_trained_on
 from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, load_config, run_name
-from model.runs.run_inputs import log_to_open, logs_of
+from model.runs.run_inputs import index_of, logs_of
 
 
 def index_of_run(
     run: Path, index: Path, sessions: Path, on_notice: Callable[[str], object] = lambda notice: None
 ) -> Path:
-    """An index of the samples that `run` was trained on: `index` itself, or one that is built next to `index` from
-    the run's settings and logs. The logs are in `sessions`, or where they were during training.
+    """An index of the samples that `run` was trained on: `index` itself, or one that is built from the run's
+    settings and logs: next to `index`, or in the current folder if the run itself names `index`. The logs are in
+    `sessions`, or where they were during training.
 
     `on_notice` gets the notices of the build. Raises RunError if a log or its tags have changed since;
     DatasetError if a log is missing; LogError if a log cannot be read.
     """
     stored = load_config(run)
-    index = real_path(index)
+    index, recorded = real_path(index), index_of(run)
     own = index.with_name(f"{index.name}-{run_name(run)}")
-    for place in (index, own):
+    places = [index, own]
+    if recorded is not None and index == absolute(recorded):
+        # a run from elsewhere may name any folder: nothing is written there
+        own = real_path(Path(own.name))
+        places = [index, own, real_path(Path("index"))]
+    for place in places:
         if _is_of(place, stored, run):
             return place
     settings, fingerprints = _data_of(stored, run)
     before = logs_of(run)
     logs = [
-        str(log_to_open(run, name, before[name]))
-        if name in before and not (sessions / f"{name}.mcap").is_file()
-        else name
+        str(before[name]) if name in before and not (sessions / f"{name}.mcap").is_file() else name
         for name in fingerprints
     ]
     found = find_logs(logs, sessions)
@@ -98,8 +101,6 @@ def _is_of(index: Path, stored: dict[str, Any], run: Path) -> bool:
     try:
         with Samples(index) as samples:
             return is_trained_on(stored, run, samples)
-    except PlaceNotAllowedError:
-        raise
     except DatasetError:
         return False
 

@@ -34,8 +34,7 @@ from model.network.names import BUILT_IN, check_network_name, is_own
 from model.network.own_code import load_code
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
-from model.runs.checkpoint import checkpoint_path, position_of
-from model.runs.checksums import load_checksummed, save_checksummed
+from model.runs.checkpoint import checkpoint_path, load_checksummed, position_of, save_checksummed
 from model.runs.network_of_run import NETWORK_FILE, choice_of, is_own_network, picture_of, stored_targets
 from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_config import FORMAT, is_last_weights, weights_path

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shlex
 from pathlib import Path
 
-from common.allowed_places import AllowedPlaces, folders_of, remember_places
-from common.errors import UsageError, printable
+from common.errors import UsageError
 from common.files import short_path
 from common.location import Location, Url, location
 from common.untrusted import real_path
-from dataset import Samples
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from model.errors import RunError
@@ -37,30 +34,16 @@ def index_of(run: Path) -> Location | None:
     return _place_of(run, load_config(run).get("index"))
 
 
-def allowed_index_of(run: Path) -> Path | None:
-    """The index that a run was trained on; None if the config does not record it.
-
-    The config of a run from elsewhere could name any place. Raises RunError if the run may not name this place, or
-    if it is in a store; if nothing exists there, returns None.
-    """
+def local_index_of(run: Path) -> Path | None:
+    """The index that a run was trained on; None if the config does not record it. Raises RunError if it is in a
+    store, as indexes of earlier versions may be."""
     index = index_of(run)
     if isinstance(index, Url):
         raise RunError(
             f"{run / CONFIG}: its index {index} is in a store; bring it here first: `bc-copy {index} index`, and"
             " give --index index"
         )
-    if index is None or index in _allowed(run):
-        return index
-    if not index.is_dir():
-        return None
-    raise _not_allowed(run, f"{printable(str(index))} as its index", "--index", index)
-
-
-def remember_inputs(run: Path, samples: Samples, init: Path | None) -> None:
-    """Allow a run that is trained on this machine to name its index, logs and first weights, wherever they are."""
-    folders = folders_of(log.path for log in samples.logs.values())
-    inits = () if init is None else (init,)
-    remember_places(run, run.parent.parent, [samples.path.parent, *folders, *inits])
+    return index
 
 
 def logs_of(run: Path) -> dict[str, Location]:
@@ -78,21 +61,14 @@ def logs_of(run: Path) -> dict[str, Location]:
     return {}
 
 
-def log_to_open(run: Path, session: str, log: Location) -> Location:
-    """Return `log`, a log of `logs_of`. Raises RunError if the run may not name its place."""
-    if log in _allowed(run):
-        return log
-    raise _not_allowed(run, f"{printable(str(log))} as the log of {printable(session)}", "--sessions", log.parent)
-
-
 def sessions_of(run: Path) -> Path | None:
-    """The folder with all logs of a run's index. None if the logs are in several folders or in a store, if the run
-    may not name the folder, or if it does not exist any more."""
+    """The folder with all logs of a run's index. None if the logs are in several folders or in a store, or if the
+    folder does not exist any more."""
     folders: set[Location] = {log.parent for log in logs_of(run).values()}
     if len(folders) != 1:
         return None
     folder = folders.pop()
-    return folder if isinstance(folder, Path) and folder in _allowed(run) and folder.is_dir() else None
+    return folder if isinstance(folder, Path) and folder.is_dir() else None
 
 
 def init_of(run: Path, runs: Path) -> Path | None:
@@ -111,24 +87,11 @@ def init_of(run: Path, runs: Path) -> Path | None:
             raise ValueError("a run's name is a path")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunError(f"{run / CONFIG}: does not name the run that it was started from ({error})") from None
-    is_there = isinstance(place, Path) and place in _allowed(run) and place.exists()
+    is_there = isinstance(place, Path) and place.exists()
     init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
         raise RunError(f"{init}: its weights have changed since {run} was started from them; give --init RUN")
     return init
-
-
-def _not_allowed(run: Path, what: str, flag: str, place: Location) -> RunError:
-    return RunError(
-        f"{run / CONFIG}: names {what}, which is not in its project, and it was not trained here; it is not"
-        f" opened. If it is yours: {flag} {shlex.quote(printable(str(place)))}"
-    )
-
-
-def _allowed(run: Path) -> AllowedPlaces:
-    """Places in the project of the run."""
-    folder = config_folder(run)
-    return AllowedPlaces(folder, real_path(folder).parent.parent)
 
 
 def _place_of(run: Path, stored: object) -> Location | None:

@@ -18,7 +18,7 @@ from common.errors import printable
 from model.config import enough_passes
 from model.metrics import BinErrors, Measures
 from model.runs.enough_to_drive import Drivable, Hand, drivable
-from model.runs.history_lines import parse_measures
+from model.runs.history import parse_measures
 from model.runs.kept_results import KeptResult
 from model.runs.network_of_run import own_network_flag
 from model.runs.run_arguments import RUNS, run_argument

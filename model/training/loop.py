@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import logging
 import math
 import threading
 import time
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,8 +15,11 @@ import torch
 from msgspec.structs import replace
 from rich.progress import Progress
 from torch import Tensor
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
+from common import UserError
 from common.errors import counted
+from common.named_function import in_one_line
 from common.progress import progress_task
 from dataset import Loader, Samples
 from dataset.picture_spec import PictureSpec
@@ -24,18 +30,15 @@ from model.device import Machine
 from model.errors import RunError
 from model.evaluation.predict import predict
 from model.network.choice import NetworkChoice
+from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
 from model.runs.run_arguments import run_argument
-from model.runs.training_progress import Epoch, Step
-from model.training.averaged_weights import AveragedWeights
+from model.runs.training_progress import Epoch, Listener, Step
 from model.training.batches import make_batches
-from model.training.listeners import Listeners
-from model.training.natural_frequency import NaturalFrames
 from model.training.run_writer import RunWriter
-from model.training.step import least_samples
-from model.training.training_steps import TrainingSteps
-from model.training.validation import Validation
+from model.training.step import TrainingSteps, least_samples
+from model.training.validation import NaturalFrames, Validation
 
 STEP_BATCHES: Final = 10
 """Batches between two lines of steps.jsonl."""
@@ -327,3 +330,75 @@ class _EpochSums:
         unreported = squared_error - self.reported_squared_error, self.samples - self.reported_samples
         self.reported_squared_error, self.reported_samples = squared_error, self.samples
         return unreported
+
+
+_FIRST_STEPS: Final = 10
+"""After N steps, the mean is over at most 1 + N / 10 of them, so that the random initial weights are soon
+forgotten."""
+
+
+class AveragedWeights:
+    """A second network, whose weights are the exponential mean of the first one's over about `steps` steps.
+
+    With one step, it is the first network itself.
+    """
+
+    def __init__(self, network: PictureNetwork, steps: int) -> None:
+        self._steps = steps
+        self.network = network if steps == 1 else copy.deepcopy(network)
+
+    @torch.no_grad()
+    def begin(self, network: PictureNetwork) -> None:
+        """Begin with the weights of `network`, before its first step."""
+        self.network.load_state_dict(network.state_dict())
+
+    def update(self, network: PictureNetwork, steps_taken: int) -> None:
+        """Add the weights of `network` to the mean. `steps_taken` counts from 1, after the first step."""
+        if self.network is not network:
+            keep = 1 - max(1 / self._steps, 1 / (1 + steps_taken / _FIRST_STEPS))
+            update = get_ema_multi_avg_fn(keep)  # type: ignore[no-untyped-call]
+            update(list(self.network.parameters()), list(network.parameters()), steps_taken)
+            for mean, latest in zip(self.network.buffers(), network.buffers(), strict=True):
+                mean.copy_(latest)  # buffers of a batch normalisation are already means
+
+
+_LOGGER: Final = logging.getLogger(__name__)
+
+
+class Listeners:
+    def __init__(self, listeners: Sequence[Listener], notices: list[str]) -> None:
+        """For each listener that fails, a line is added to `notices`."""
+        self._listening = list(listeners)
+        self._notices = notices
+
+    def step(self, step: Step) -> None:
+        self._call_each(lambda listener: listener.step(step))
+
+    def epoch(self, epoch: Epoch) -> None:
+        self._call_each(lambda listener: listener.epoch(epoch))
+
+    def close(self) -> None:
+        """Close all remaining listeners. Failed ones are already closed."""
+        self._call_each(_close)
+
+    def _call_each(self, method: Callable[[Listener], object]) -> None:
+        for listener in list(self._listening):
+            if error := _error_of(method, listener):
+                self._listening.remove(listener)
+                _error_of(_close, listener)  # it may still save data; a second error is ignored
+                why = str(error) if isinstance(error, UserError) else in_one_line(error)
+                line = f"{type(listener).__name__} receives nothing more of this training: {why}"
+                self._notices.append(line)
+                _LOGGER.warning("%s", line)
+
+
+def _close(listener: Listener) -> object:
+    return listener.close()
+
+
+def _error_of(method: Callable[[Listener], object], listener: Listener) -> Exception | None:
+    try:
+        method(listener)
+    except Exception as error:  # a user's own code
+        return error
+    return None

@@ -39,7 +39,7 @@ from model.runs.run_folder import (
     removed_unless_saved,
     write_config,
 )
-from model.runs.run_inputs import init_of, relative_place, remember_inputs
+from model.runs.run_inputs import init_of, relative_place
 from model.runs.training_progress import Epoch, Listener
 from model.training.earlier_run import (
     arithmetic_remarks,
@@ -48,8 +48,7 @@ from model.training.earlier_run import (
     resumed_config,
     resumed_settings,
 )
-from model.training.listeners import Listeners
-from model.training.loop import TrainingLoop
+from model.training.loop import Listeners, TrainingLoop
 from model.training.run_writer import RunWriter
 from model.training.validation import validation_notices
 
@@ -133,7 +132,6 @@ def train(
             create_run(run, origin, picture, b"" if network.code is None else network.code.source)
             stack.enter_context(removed_unless_saved(run, lambda: writer.has_saved))
             stack.enter_context(locked_for_training(run))
-        remember_inputs(run, samples, init)
         loop = TrainingLoop(samples, writer, config, network, picture, machine, guarded, bar)
         notices += validation_notices(samples, loop.validation, init)
         remarks = [] if resume else _recipe_remarks(samples, config)

@@ -15,12 +15,11 @@ from common.car import Camera
 from common.stretches import within
 from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
-from recorder.log.tagged_rows import tags_of
-from recorder.log.tags import EXCLUDE
+from recorder.log.tags import EXCLUDE, tags_of
 from recorder.mcap.picture_places import Pictures
 from recorder.pictures.decoding import decode_picture, is_whole_picture
 from recorder.pictures.picture_size import SizeReader
-from recorder.rows.row_quality import States, drive_numbers, row_flags
+from recorder.rows.row_quality import States, drive_numbers
 from recorder.topics import camera_topic
 
 Sizes = dict[Camera, tuple[int, int]]  # width and height of each camera's pictures
@@ -75,7 +74,7 @@ def log_episodes(
     taken = ~is_excluded
     if chosen is not None:
         taken &= np.isin(states.row, chosen.row)
-    out_of_range = row_flags(states)["out_of_range"]
+    out_of_range = states.flags["out_of_range"]
     reason = f"rows of {name} with steering, pedals or speed out of range"
     _skip(skipped, reason, states.row[out_of_range & taken])
     taken &= ~out_of_range

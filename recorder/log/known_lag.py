@@ -1,30 +1,26 @@
-"""The known lag of a log's steering. The log's writer notes the lag in the log; if it is measured later, it is
-kept next to the log in NAME.lag.json, for one content of the log."""
+"""The lag of a log's steering. It is measured when a command first needs it, and kept next to the log in
+NAME.lag.json, for one content of the log. Version 0.3 noted it in the log itself."""
 
 from __future__ import annotations
 
 import contextlib
-import json
-from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Final, Literal, overload
 
 import msgspec
 
 from common import atomic_file
-from common.closeable import Closeable
 from common.errors import UserError
 from common.location import Location, Url
-from common.random_access import LocalFile, read_bytes
-from common.untrusted_json import json_as
+from common.random_access import read_bytes
+from common.untrusted import json_as
 from recorder import topics
+from recorder.log.findings import findings
 from recorder.log.reader import Log
-from recorder.mcap.message_index import UNCOMPRESSED
-from recorder.mcap.picture_places import Pictures
+from recorder.rows.label_plan import goes_by_lag, machine_of
+from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding, SteeringLag
 
-_KEY: Final = "lag"
 _MAX_BYTES: Final = 1 << 16
 
 
@@ -32,16 +28,6 @@ class _Kept(msgspec.Struct):
     format: Literal[1]
     log: str  # its fingerprint
     lag: SteeringLag | None
-
-
-def lag_note(finding: LagFinding) -> dict[str, str]:
-    """The lag in a log's summary of its rows."""
-    return {_KEY: json.dumps(finding.lag and asdict(finding.lag), allow_nan=False)}
-
-
-def noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
-    """The lag from a log's summary of its rows; None if its writer did not measure it."""
-    return json_as(f'{{"lag":{quality.get(_KEY, "")}}}', LagFinding)
 
 
 @overload
@@ -56,9 +42,37 @@ def lag_path(log: Location) -> Location:
     return log.with_name(f"{log.name.removesuffix('.mcap')}.lag.json")
 
 
-def known_lag(log: Log) -> LagFinding | None:
-    """The lag of a log's steering; None if it was never measured. Raises StoreError."""
-    return noted_lag(log.read_metadata(topics.QUALITY_METADATA)) or kept_lag(log)
+def driven_by(log: Log) -> str:
+    """The machine that drove a log's session (`machine_of`)."""
+    return machine_of(log.metadata, has_commands=bool(log.counts.get(topics.PILOT_COMMAND)))
+
+
+def known_lag(log: Log) -> tuple[LagFinding | None, bool]:
+    """The lag of a log's steering, from the log or the file next to it, and True if labels depend on it. None if
+    it was never measured. Raises LogError for a damaged log; StoreError."""
+    found = findings(log)
+    needed = found is not None and goes_by_lag(found.steering, driven_by(log))
+    noted = found.lag if found else None
+    return noted or (kept_lag(log) if needed else None), needed
+
+
+def lacks_lag(log: Log) -> bool:
+    """True if a log's labels depend on the lag of its steering, but it was never measured."""
+    lag, is_needed = known_lag(log)
+    return lag is None and is_needed
+
+
+def find_lag(log: Log) -> tuple[LagFinding | None, bool]:
+    """The lag of a log's steering, measured in its pictures if unknown; None if labels do not depend on it. The
+    second value is False if the measured lag could not be kept. Raises LogError for unreadable rows;
+    StoreError."""
+    lag, is_needed = known_lag(log)
+    if lag is not None or not is_needed:
+        return lag, True
+    from recorder.seen.steering_lag import measure_lag  # OpenCV
+
+    lag = LagFinding(measure_lag(log, States.of(log.vehicle())))
+    return lag, keep_lag(log, lag)
 
 
 def kept_lag(log: Log) -> LagFinding | None:
@@ -83,7 +97,11 @@ def keep_lag(log: Log, finding: LagFinding) -> bool:
 
 
 def copy_lag(log: Location, to: Location) -> None:
-    """Copy the lag next to a log to the log's copy. If that fails, it will be measured again there."""
+    """Copy the lag next to a log to the log's copy, measured first on this machine: in a store, each picture costs
+    a request. If that fails, it will be measured again there."""
+    if isinstance(log, Path):
+        with contextlib.suppress(Exception), Log(log) as opened:  # OpenCV may fail on untrusted pictures
+            find_lag(opened)
     with contextlib.suppress(UserError):
         data = _read(lag_path(log))
         if data is not None and _read(lag_path(to)) != data:
@@ -102,21 +120,3 @@ def _keep(path: Location, data: bytes) -> bool:
     except (OSError, UserError):
         return False
     return True
-
-
-class WrittenPictures(Closeable):
-    """The centre camera's pictures of a log while it is written, read back from its file to measure the lag."""
-
-    def __init__(self, part: Path, pictures: Pictures) -> None:
-        """Raises OSError."""
-        self._file = LocalFile(part)
-        self._pictures = pictures
-
-    def pictures(self, topic: str) -> Pictures:
-        return self._pictures
-
-    def read(self, offset: int, length: int, chunk: int = UNCOMPRESSED) -> bytes:
-        return self._file.read(offset, length)
-
-    def close(self) -> None:
-        self._file.close()

@@ -7,22 +7,18 @@ The row after the gap has its seconds (`VehicleState.not_recorded_s`), and an ev
 
 from __future__ import annotations
 
-import json
 import re
 from array import array
 from collections import defaultdict
-from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.untrusted_json import json_as
 from recorder.log.reader import Log
-from recorder.rows.row_quality import GAP_S, States, row_flags
+from recorder.rows.row_quality import GAP_S, States
 from recorder.topics import EVENTS, VEHICLE
 
-MEANT_GAPS: Final = "meant_gaps"
 HUMAN_DRIVES: Final = "manual: a human drives"
 PILOT_DRIVES_AGAIN: Final = "manual: the pilot drives again"
 """At the first row after a stretch that a human drove; in logs of earlier versions, right before that row."""
@@ -116,7 +112,7 @@ class NotRecorded:
         step_s = np.diff(states.time_ns, prepend=states.time_ns[:1]) / 1e9
         declared_s = self.seconds(states)
         meant: NDArray[np.bool_] = (step_s > 0) & (declared_s > 0) & (step_s - declared_s <= GAP_S)
-        return row_flags(states)["gap"] & meant if meant.any() else meant
+        return states.flags["gap"] & meant if meant.any() else meant
 
     def _human_s(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """The seconds that a human drove between the previous row and each row (N,)."""
@@ -129,19 +125,8 @@ class NotRecorded:
         np.add.at(seconds, row[is_between], (end_ns - begin_ns)[is_between] / 1e9)
         return seconds
 
-    def summary(self, states: States) -> dict[str, str]:
-        """The rows after meant gaps, as a log's `bc.quality` keeps them next to `row_quality.summary`; empty
-        without any."""
-        rows: list[int] = states.row[self.gaps(states)].tolist()
-        return {MEANT_GAPS: json.dumps(rows)} if rows else {}
-
 
 def earlier_seconds(event: str) -> float:
     """The seconds in the event of a `MeantGap`, for logs and exports of version 0.3 and earlier."""
     matched = _EARLIER_EVENT.match(event)
     return float(matched[1]) if matched else 0.0
-
-
-def meant_rows(quality: Mapping[str, str]) -> list[int]:
-    """The rows after meant gaps, from a log's `bc.quality`, which is untrusted."""
-    return json_as(quality.get(MEANT_GAPS, "[]"), list[int]) or []

@@ -12,12 +12,13 @@ import numpy as np
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
-from recorder.rows.road_edge import FARTHEST_M, Values, beyond_edge_m
-from recorder.rows.row_quality import States
+from recorder.rows.row_quality import States, Values
 
 if TYPE_CHECKING:
     from foxglove_schemas_protobuf.Pose_pb2 import Pose
 
+FARTHEST_M: Final = 1e6  # from the origin; positions beyond count as unknown
+_AT_ONCE: Final = 1024  # rows compared with all points of a track: some megabytes
 _FIELDS: Final = (
     "pose.position.x", "pose.position.y",
     "pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w",
@@ -70,6 +71,33 @@ def _placed(states: States, session: Mapping[str, str], row: Values, places: lis
 
     beyond_m = None if beyond_m is None else of_states(beyond_m)
     return replace(states, heading_rad=of_states(heading_rad), beyond_m=beyond_m)
+
+
+def beyond_edge_m(track: str, fingerprint: str, x_m: Values, y_m: Values, heading_rad: Values) -> Values | None:
+    """Metres (N,) from the road's edge to the car's middle: below 0 on the road, NaN if the position is unknown.
+    None if no road of that name and version is built in.
+
+    Positions are of the middle of the rear axle, as in `/pose`.
+    """
+    from simulator.driving.vehicle import AXLE_TO_CENTRE_M
+    from simulator.roads.track import load_track
+
+    try:
+        road = load_track(track)
+    except ValueError:
+        return None
+    if fingerprint not in ("", road.fingerprint()):
+        return None
+    beyond_m = np.full(len(x_m), np.nan)
+    with np.errstate(invalid="ignore"):
+        places_m = np.stack([x_m, y_m]) + AXLE_TO_CENTRE_M * np.stack([np.cos(heading_rad), np.sin(heading_rad)])
+        at = np.flatnonzero((np.abs(places_m) < FARTHEST_M).all(axis=0))
+    points_m = road.line.points_m[:, :2]
+    for rows in np.split(at, range(_AT_ONCE, len(at), _AT_ONCE)):
+        away_m = np.hypot(*(places_m[axis, rows, None] - points_m[None, :, axis] for axis in (0, 1)))
+        nearest = away_m.argmin(axis=1)
+        beyond_m[rows] = away_m[np.arange(len(rows)), nearest] - road.half_width_m[nearest]
+    return beyond_m
 
 
 def last_place_m(log: Log) -> float | None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Container
-from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, Self
@@ -31,19 +31,13 @@ from common.versions import version_of
 from recorder import topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError, recovery
-from recorder.log.known_lag import WrittenPictures, lag_note
-from recorder.log.meant_gaps import MeantGap, NotRecorded
-from recorder.log.road_places import CarPlaces
-from recorder.log.session_car import UDACITY, car_in
+from recorder.log.findings import WrittenRows
+from recorder.log.meant_gaps import MeantGap
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.split_chunks import CopiedChannels, SplitChunks
 from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
-from recorder.rows.label_plan import goes_by_lag, machine_of
-from recorder.rows.odd_stretches import odd_summary
-from recorder.rows.row_quality import States, StatesWritten, summary
-from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
+from simulator.pose import Pose
 
-_CENTER: Final = topics.camera_topic("center")
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush may be late, and the disk takes time
 
 EventLevel = Literal["INFO", "WARNING", "ERROR"]
@@ -59,6 +53,22 @@ def log_beside(log: Path, taken: Container[Path]) -> Path:
 
 def timestamp(time_ns: int) -> Timestamp:
     return Timestamp(seconds=time_ns // 1_000_000_000, nanos=time_ns % 1_000_000_000)
+
+
+def pose_message(pose: Pose, time_ns: int) -> PoseInFrame:
+    """A car's pose as a Foxglove message: metres, x east, y north, z up; attitude a quaternion."""
+    message = PoseInFrame(timestamp=timestamp(time_ns), frame_id="world")
+    message.pose.position.x, message.pose.position.y, message.pose.position.z = pose.x_m, pose.y_m, pose.z_m
+    # nose up is a negative rotation around the y axis, which points to the left
+    (cy, sy), (cp, sp), (cr, sr) = (
+        (math.cos(angle / 2), math.sin(angle / 2)) for angle in (pose.heading_rad, -pose.pitch_rad, pose.roll_rad)
+    )
+    q = message.pose.orientation
+    q.w = cr * cp * cy + sr * sp * sy
+    q.x = sr * cp * cy - cr * sp * sy
+    q.y = cr * sp * cy + sr * cp * sy
+    q.z = cr * cp * sy - sr * sp * cy
+    return message
 
 
 class LogWriter:
@@ -102,15 +112,9 @@ class LogWriter:
         self._adders: dict[str, AddMessage] = {}
         self._schemas: dict[str, int] = {}
         self._has_messages = False
-        self._max_steering_deg = UDACITY.max_steering_deg
         self.same_as = ""
         """Fingerprint of the log that is rewritten; empty for other logs."""
-        self._session = metadata
-        self._center_channels = set[int]()
-        self._has_commands = False
-        self._states = StatesWritten()
-        self._places = CarPlaces(metadata)
-        self._not_recorded = NotRecorded()
+        self._rows = WrittenRows(metadata, path)
         self._sizes = PictureSizes()
         self._size_reader = SizeReader()
         self._sync: files.BackgroundSync | None = None
@@ -138,8 +142,6 @@ class LogWriter:
         self._to_disk(self._chunks.mcap.start, profile, f"{topics.LIBRARY} {version_of()}")
         if metadata is not None:
             self.add_metadata(topics.SESSION_METADATA, {"toolkit": version_of(), **metadata})
-            with contextlib.suppress(LogError):  # copied from another log; readers report it
-                self._max_steering_deg = (car_in(metadata, self.path) or UDACITY).max_steering_deg
 
     def picture(
         self, camera: Camera, time_ns: int, sequence: int, picture: bytes, size: tuple[int, int] | None = None
@@ -159,13 +161,9 @@ class LogWriter:
         if gap is not None:
             state.not_recorded_s = gap.seconds
         self._write(topics.VEHICLE, state, time_ns, sequence)
-        self._note_row(sequence, time_ns, state)
+        self._rows.add(sequence, time_ns, state)
         if gap is not None:
             self.event(time_ns, str(gap), name="recorder")
-
-    def _note_row(self, sequence: int, time_ns: int, state: VehicleState) -> None:
-        self._states.add(sequence, time_ns, state)
-        self._not_recorded.add_row(time_ns, state.not_recorded_s)
 
     def command(self, time_ns: int, sequence: int, command: PilotCommand) -> None:
         self._write(topics.PILOT_COMMAND, command, time_ns, sequence)
@@ -183,7 +181,7 @@ class LogWriter:
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
         self._write(topics.POSE, pose, time_ns, sequence)
-        self._places.add(sequence, pose.pose)
+        self._rows.add_pose(sequence, pose.pose)
 
     def event(self, time_ns: int, text: str, level: EventLevel = "INFO", name: str = "") -> None:
         """Write an event: `text` is what happened, `name` is where (`recorder`, `drive`)."""
@@ -212,18 +210,14 @@ class LogWriter:
         add = partial(self._chunks.add, number_of, is_picture=is_picture)
         self._message(add, message.log_time, message.publish_time, sequence, message.data)
         if state is not None:
-            self._note_row(sequence, message.log_time, state)
+            self._rows.add(sequence, message.log_time, state)
         elif channel.topic == topics.POSE and schema is not None and schema.name == topics.POSE_IN_FRAME.name:
             with contextlib.suppress(DecodeError):
-                self._places.add(sequence, PoseInFrame.FromString(message.data).pose)
+                self._rows.add_pose(sequence, PoseInFrame.FromString(message.data).pose)
         elif channel.topic == topics.EVENTS and schema is not None and schema.name == topics.LOG_MESSAGE.name:
             with contextlib.suppress(DecodeError):
-                self._not_recorded.add_event(message.log_time, LogMessage.FromString(message.data).message)
-        elif channel.topic == topics.PILOT_COMMAND:
-            self._has_commands = True
+                self._rows.add_event(message.log_time, LogMessage.FromString(message.data).message)
         elif is_picture and channel.topic in topics.CAMERA_TOPICS:
-            if channel.topic == _CENTER:
-                self._center_channels.add(self._copied_channels.number_of(schema, channel))
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
                 size = self._size_reader.width_and_height(message.data[at : at + length])
@@ -278,38 +272,18 @@ class LogWriter:
 
     def finish(self) -> None:
         """Write the summary; the log still has its temporary name (`part`)."""
-        if len(self._states):
+        if len(self._rows):
             mixed = self._sizes.mixed()
             sizes = {
                 "first_picture_px": json.dumps(self._sizes.first()),
                 **({"picture_sizes": json.dumps(mixed)} if mixed else {}),
             }
-            states = self._places.placed(self._states.states())
-            habits = steering_habits(states, self._max_steering_deg, self._states.device)
-            steering = json.dumps(asdict(habits), allow_nan=False)
-            lag = self._measured_lag(states, habits)
-            rows = summary(states) | odd_summary(states) | self._not_recorded.summary(states)
-            self.add_metadata(topics.QUALITY_METADATA, rows | {"steering": steering} | lag | sizes)
+            self.add_metadata(topics.QUALITY_METADATA, self._rows.findings().as_metadata() | sizes)
         if self.same_as:
             self._to_disk(self._chunks.flush)
             about = {"fingerprint": self.same_as, "chunks": self._chunks.content_digest}
             self.add_metadata(topics.REWRITTEN_METADATA, about)
         self._to_disk(self._finish)
-
-    def _measured_lag(self, states: States, habits: SteeringHabits) -> dict[str, str]:
-        """The lag for the log's summary. It is measured at the end: the choice of pictures depends on all rows,
-        and the page cache still has them."""
-        session = self._session
-        if session is None or not goes_by_lag(habits, machine_of(session, has_commands=self._has_commands)):
-            return {}
-        self._to_disk(self._chunks.flush)  # whatever fails after this, no row is lost
-        self._to_disk(self._stream.flush)
-        with contextlib.suppress(Exception):  # OpenCV may fail on untrusted pictures: then nothing is measured
-            from recorder.seen.steering_lag import measure_lag
-
-            with WrittenPictures(self.part, self._chunks.pictures(self._center_channels)) as pictures:
-                return lag_note(LagFinding(measure_lag(pictures, states)))
-        return {}
 
     def publish(self) -> None:
         """Give the finished log its name. Raises as `close`."""
@@ -374,11 +348,7 @@ class LogWriter:
         name = message.DESCRIPTOR.full_name
         if name not in self._schemas:
             self._schemas[name] = register_schema(self._chunks.mcap, message)
-        number = self._chunks.mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
-        if topic == _CENTER:
-            self._center_channels.add(number)
-        self._has_commands |= topic == topics.PILOT_COMMAND
-        return number
+        return self._chunks.mcap.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
 
     def _finish(self) -> None:
         self._chunks.finish()

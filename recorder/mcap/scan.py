@@ -18,7 +18,7 @@ from typing import Final
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, Channel, McapRecord, MetadataIndex, Schema, Statistics
+from mcap.records import AttachmentIndex, Channel, ChunkIndex, McapRecord, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 
 from common.locks import is_being_written
@@ -45,13 +45,6 @@ DAMAGED: Final = "damaged"
 """The problem of a finished log of another program that lists no chunks at its end."""
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary start, summary offset start, CRC
-_CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # first and last time, start, length, bytes of the map that follows
-# compared for each chunk: plain numbers are quicker
-_OP_CHUNK: Final = int(Opcode.CHUNK)
-_OP_CHUNK_INDEX: Final = int(Opcode.CHUNK_INDEX)
-_SIZE: Final = struct.Struct("<Q")
-_MAP_ENTRY_BYTES: Final = 2 + 8  # a channel, and the offset of its message index
-_MAX_MAP_BYTES: Final = _MAP_ENTRY_BYTES << 16  # channels have 16-bit numbers
 
 # A chunk below 16 MiB: opcode, length, times, uncompressed size, CRC, compression.
 _CHUNK_START: Final = re.compile(
@@ -161,9 +154,10 @@ def read_summary(file: McapFile) -> Structure | None:
         return None
     structure = Structure(data_end=start)
     try:
-        others = _take_chunk_indexes(summary, structure.chunks)
-        for record in _records(others):
+        for record in _records(summary):
             match record:
+                case ChunkIndex():
+                    structure.chunks.append(_listed(record))
                 case Schema():
                     structure.schemas[record.id] = record
                 case Channel():
@@ -183,6 +177,15 @@ def read_summary(file: McapFile) -> Structure | None:
     if any(later < earlier for earlier, later in itertools.pairwise(edges)):
         return None
     return structure
+
+
+def _listed(index: ChunkIndex) -> Chunk:
+    """A chunk that a summary lists. Raises UNREADABLE."""
+    start, size = index.chunk_start_offset, index.chunk_length
+    times = index.message_start_time, index.message_end_time
+    head = CHUNK_HEADER.pack(Opcode.CHUNK, size - RECORD.size, *times, index.uncompressed_size, 0)
+    channels = frozenset(index.message_index_offsets) or None
+    return Chunk(start, start + size, index.compression, channels=channels, head=head[:-4])
 
 
 def counts_no_message(file: McapFile) -> bool:
@@ -219,38 +222,6 @@ def _records(summary: bytes) -> Iterator[McapRecord]:
         record_size_limit=len(summary),
     )
     return reader.records
-
-
-def _take_chunk_indexes(summary: bytes, chunks: list[Chunk]) -> bytes:
-    """Add the chunks that a summary lists to `chunks`, and return its other records. A long log has tens of
-    thousands of chunks, and MCAP's own reader takes 30 us for each. Raises UNREADABLE."""
-    others, kinds, position = [], dict[bytes, frozenset[int]](), 0
-    while position + RECORD.size <= len(summary):
-        opcode, length = RECORD.unpack_from(summary, position)
-        end = position + RECORD.size + length
-        if opcode != _OP_CHUNK_INDEX:
-            others.append(summary[position:end])
-            position = end
-            continue
-        first_ns, last_ns, start, size, map_bytes = _CHUNK_INDEX.unpack_from(summary, position + RECORD.size)
-        at = position + RECORD.size + _CHUNK_INDEX.size
-        if map_bytes % _MAP_ENTRY_BYTES or map_bytes > min(end - at, _MAX_MAP_BYTES):
-            raise EOFError("a chunk index is cut off")
-        offsets = summary[at : at + map_bytes]
-        key = offsets[::_MAP_ENTRY_BYTES] + offsets[1::_MAP_ENTRY_BYTES]  # low bytes, then high bytes
-        if key not in kinds:
-            pairs = zip(key, key[len(key) // 2 :], strict=False)
-            kinds[key] = frozenset(low | high << 8 for low, high in pairs)
-        compression = prefixed(summary, at + map_bytes + 8)
-        unpacked_at = at + map_bytes + 8 + 4 + len(compression) + 8
-        (unpacked_size,) = _SIZE.unpack_from(summary, unpacked_at)
-        if unpacked_at + 8 > end:
-            raise EOFError("a chunk index is cut off")
-        head = CHUNK_HEADER.pack(_OP_CHUNK, size - RECORD.size, first_ns, last_ns, unpacked_size, 0)
-        chunk = Chunk(start, start + size, compression.decode(), channels=kinds[key] or None, head=head[:-4])
-        chunks.append(chunk)
-        position = end
-    return b"".join((*others, summary[position:]))
 
 
 def walk(file: McapFile, data_end: int = 0) -> Structure:
@@ -349,7 +320,7 @@ def _is_of_unknown_kind(file: McapFile, start: int, end: int) -> bool:
     """True for a record of another program's own kind, or of a later version of MCAP. A chunk with a damaged
     first byte is none."""
     head = file.read(start + 1, min(RECORDS_AT, end - start) - 1)
-    return not file.promises_crcs and _CHUNK_START.match(bytes([_OP_CHUNK]) + head) is None
+    return not file.promises_crcs and _CHUNK_START.match(bytes([Opcode.CHUNK]) + head) is None
 
 
 def search_budget(file: McapFile) -> int:

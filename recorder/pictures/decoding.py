@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.pictures.picture_size import PNG_START, decoding_problem
-from recorder.pictures.whole_picture import is_whole_jpeg
+from recorder.pictures.picture_size import PNG_START, decoding_problem, is_whole_jpeg
 
 _REDUCED_GRAYSCALE_8: Final = 64
 """cv2.IMREAD_REDUCED_GRAYSCALE_8: faster, but it still reads the whole picture."""

@@ -5,10 +5,9 @@ The approach to an impact, reversing, and the way out are one stretch.
 
 from __future__ import annotations
 
-import json
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -17,37 +16,22 @@ from numpy.typing import NDArray
 
 from common.errors import counted, printable
 from common.stretches import stretches_within
-from common.untrusted_json import json_as
-from recorder.rows.crashes import impact_rows
-from recorder.rows.driving_backwards import PEDAL, SURELY_MPH, driven_backwards
-from recorder.rows.road_edge import off_road_rows
+from recorder.rows.causes import CAUSES, NOT_LEARNT
 from recorder.rows.row_quality import (
-    NOT_LEARNT,
+    PEDAL,
+    SURELY_MPH,
     Motion,
     States,
+    Values,
     drive_numbers,
+    driven_backwards,
     elapsed_s,
-    row_flags,
+    impact_rows,
     usual_speed_mph,
 )
 from recorder.rows.steering_habits import MAX_OUT_OF_RANGE
 
-ODD_KINDS: Final[Mapping[str, str]] = {
-    "crash": "crash",
-    "backwards": "driving backwards",
-    "parked": "parked",
-    "off_road": "off the road",
-    "out_of_range": "values out of range",
-    "stuck_steering": "steering that never changes",
-    "steering_against_pictures": "steering against the pictures",
-    "coasting": "coasting to a halt",
-    "creeping": "creeping",
-}
-"""The name of each kind. For rows of several kinds, the first counts."""
-
 CRUMB_S: Final = 1.0
-ODD: Final = "odd"  # the stretches' key in a log's `bc.quality`
-MAX_KEPT: Final = 100
 MAX_NAMED: Final = 6
 MOSTLY: Final = 0.6
 """A crash without an impact in which the car reverses in a larger share of rows is driving backwards."""
@@ -57,6 +41,8 @@ CREEP_S: Final = 2.0  # of moving; a start takes less than one
 COAST_S: Final = 1.5
 COAST_SPEED_SHARE: Final = 1 / 3
 _ROUNDING_MPH: Final = 0.2
+OFF_S: Final = 0.5  # the shortest stretch off the road: drives put a car back at once
+JOIN_S: Final = 2.0  # a shorter time between two of these stretches is not driving
 _MIN_ROWS: Final = 100  # to judge the scale of the steering
 
 Mask = NDArray[np.bool_]
@@ -66,7 +52,7 @@ Mask = NDArray[np.bool_]
 class OddStretch:
     """Rows of a log that are odd for one cause; times in seconds from the log's first row."""
 
-    kind: str  # one of ODD_KINDS
+    kind: str  # of CAUSES
     first_row: int
     last_row: int
     begin_s: float
@@ -89,10 +75,15 @@ class OddStretch:
         return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
 
     def __str__(self) -> str:
-        kind = ODD_KINDS.get(self.kind, printable(self.kind))
+        kind = title_of(self.kind)
         rows = rows_named(self.first_row, self.last_row)
         perhaps = "" if self.is_sure else "perhaps "
         return f"{perhaps}{kind}: {rows}, {self.begin_s:.1f} to {self.end_s:.1f} s ({printable(self.cause)})"
+
+
+def title_of(kind: str) -> str:
+    """A kind in words; kinds come from logs, which are untrusted."""
+    return CAUSES[kind].title if kind in CAUSES else printable(kind)
 
 
 def rows_named(first: int, last: int) -> str:
@@ -131,7 +122,7 @@ _Cause = Callable[[slice], tuple[str, str] | str] | str  # the cause, or the kin
 
 def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask, bool, _Cause]]:
     """The kind, its rows (N,), whether it is sure, and its cause; for some rows, the cause names another kind."""
-    flags = row_flags(states)
+    flags = states.flags
     time_s = elapsed_s(states.time_ns)
     speed_mph = np.abs(np.where(np.isfinite(states.speed_mph), states.speed_mph, np.nan))
     motion = Motion(speed_mph, flags["standing_still"], usual_speed_mph(states), time_s, drive)
@@ -210,14 +201,18 @@ def coasting_rows(motion: Motion, states: States) -> Mask:
     return coasting
 
 
-def odd_summary(states: States) -> dict[str, str]:
-    """The first odd stretches, as a log's `bc.quality` keeps them next to `row_quality.summary`."""
-    return {ODD: json.dumps([asdict(stretch) for stretch in odd_stretches(states)[:MAX_KEPT]])}
-
-
-def odd_in(quality: Mapping[str, str]) -> list[OddStretch] | None:
-    """The stretches in a log's `bc.quality`, which is untrusted; None if it has none."""
-    return json_as(quality.get(ODD, ""), list[OddStretch])
+def off_road_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) -> Mask:
+    """The rows (N,) off the road, including short returns. `time_s`: from `elapsed_s`; `drive`: the number of each
+    row's drive."""
+    off = np.zeros(len(drive), np.bool_)
+    last_before = -1
+    for first, last in stretches_within(beyond_m > 0, drive):
+        if time_s[last] - time_s[first] < OFF_S:
+            continue
+        joins = last_before >= 0 and time_s[first] - time_s[last_before] <= JOIN_S
+        off[last_before + 1 if joins else first : last + 1] = True
+        last_before = last
+    return off
 
 
 def odd_lines(odd: Sequence[OddStretch]) -> list[str]:

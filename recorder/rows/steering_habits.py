@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.car import MAX_STEERING_DEG
+from common.errors import counted
+from common.steering_unit import DEGREES, SteeringUnit
 from common.stretches import runs
 from recorder.rows.devices import RowDevice
-from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, row_flags, usual_step
+from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, usual_step
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """The times around a row, half before and half after, in which the other rows are its neighbours."""
@@ -93,7 +95,6 @@ def steering_habits(
     """Measure the habits in the rows of a log. `max_steering_deg`: the wheels' angle at steering 1. `device`: that
     of most rows. Takes any numbers."""
     in_range = np.abs(states.steering) <= 1  # False for NaN too
-    flags = row_flags(states)
     steering, time_ns = states.steering[in_range], states.time_ns[in_range]
     rows = len(steering)
     drive = drive_numbers(time_ns)
@@ -121,7 +122,7 @@ def steering_habits(
         spread_deg=float(steering.std()) * max_steering_deg if rows else None,
         largest_deg=float(np.abs(steering).max()) * max_steering_deg if rows else None,
         ceiling=ceiling,
-        crashes=_share(flags["crash"]),
+        crashes=_share(states.flags["crash"]),
         device=device,
     )
 
@@ -191,3 +192,65 @@ def _is_of_keys(steering: Values, time_ns: NDArray[np.int64], same: NDArray[np.b
 
 def _share(mask: NDArray[np.bool_]) -> float | None:
     return float(mask.mean()) if len(mask) else None
+
+
+STEERING_HEADINGS: Final = ("steered", "zeros", "presses", "Hz", "ceiling", "lag, s")
+_IN_WORDS: Final[dict[Kind, str]] = {
+    "none": "never",
+    "constant": "constant",
+    "too short": "too short",
+    "other scale": "scale?",
+    "steps": "in steps",
+    "smooth": "smooth",
+}
+
+
+def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]:
+    """The cells under `STEERING_HEADINGS`; "-" if unknown."""
+    return [
+        _how(habits),
+        _formatted(habits.zeros, "{:.0%}"),
+        f"{habits.presses:,}" + (f" x {habits.press_s:.1f} s" if habits.press_s else ""),
+        _formatted(habits.rate_hz, "{:.1f}"),
+        _formatted(habits.ceiling[1], "{:.2f}"),
+        _lag_words(lag) if lag else "-",
+    ]
+
+
+def steering_line(habits: SteeringHabits, lag: SteeringLag | None, unit: SteeringUnit = DEGREES) -> str:
+    """Habits and lag in one line."""
+    spread, largest = (
+        None if angle_deg is None else unit.of(angle_deg) for angle_deg in (habits.spread_deg, habits.largest_deg)
+    )
+    parts = [
+        f"steered: {_how(habits)}",
+        f"{_formatted(habits.zeros, '{:.0%}')} zeros, {_formatted(habits.left, '{:.0%}')} left,"
+        f" {_formatted(habits.right, '{:.0%}')} right",
+        counted(habits.presses, "press", "presses") + (f" of {habits.press_s:.2f} s" if habits.press_s else ""),
+        f"{counted(habits.values, 'value')}",
+        f"{_formatted(habits.rate_hz, '{:.1f}')} rows/s",
+        f"spread {_formatted(spread, '{:.2f}')} {unit.short}, up to {_formatted(largest, '{:.1f}')}",
+        f"ceiling {' / '.join(_formatted(ceiling, '{:.2f}') for ceiling in habits.ceiling)}",
+    ]
+    if lag is not None:
+        parts.append(lag_in_words(lag))
+    return "; ".join(parts)
+
+
+def lag_in_words(lag: SteeringLag) -> str:
+    return f"lag {_lag_words(lag)} s (correlation {lag.correlation:.2f})"
+
+
+def _lag_words(lag: SteeringLag) -> str:
+    margin = "" if lag.margin_s is None else f" \N{PLUS-MINUS SIGN}{lag.margin_s:.2f}"
+    return f"{lag.lag_s:+.2f}{margin}"
+
+
+def _how(habits: SteeringHabits) -> str:
+    if habits.device:
+        return habits.device
+    return "keys" if habits.keys and habits.kind == "steps" else _IN_WORDS[habits.kind]
+
+
+def _formatted(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)

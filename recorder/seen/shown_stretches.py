@@ -1,5 +1,6 @@
 """Odd stretches that pictures show: steering that contradicts them, or never changes while the car turns. They
-also decide whether a car drove backwards, if its numbers leave that open."""
+also decide whether a car drove backwards, if its numbers leave that open: things ahead grow when the car drives
+forwards."""
 
 from __future__ import annotations
 
@@ -8,16 +9,16 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.car import MPS_PER_MPH
 from common.progress import progress_bar, progress_task
 from common.stretches import stretches, within
 from recorder.rows.odd_stretches import OddStretch, stretch_of
 from recorder.rows.row_quality import STANDING_MPH, States, Values, elapsed_s
 from recorder.seen.far_field import WIDTH_PX, CenterPictures, FarField, PictureLog, rows_apart
-from recorder.seen.picture_growth import SHOWN as SHOWN_GROWTH
-from recorder.seen.picture_growth import growth
 from recorder.seen.steering_against_pictures import against_pictures
 
 _CONTROLS: Final = 20
@@ -62,10 +63,10 @@ def with_pictures(log: PictureLog, states: States, odd: Sequence[OddStretch]) ->
 
 def _by_growth(stretch: OddStretch, grown: float) -> OddStretch | None:
     """A stretch that may be backwards, judged by its pictures; None if the car drives forwards."""
-    if grown < -SHOWN_GROWTH:
+    if grown < -_SHOWN_GROWTH:
         why = f"{stretch.cause.removeprefix('or downhill? ')}; the pictures shrink"
         return replace(stretch, is_sure=True, is_shown=True, cause=why)
-    return None if grown > SHOWN_GROWTH else stretch
+    return None if grown > _SHOWN_GROWTH else stretch
 
 
 def _direction(
@@ -114,3 +115,58 @@ def _spread(values: Values) -> float:
     """Half the distance between the 16th and the 84th percentile: a standard deviation without outliers."""
     low, high = np.percentile(values, (16, 84))
     return float(high - low) / 2
+
+
+# Of two pictures, first the earlier and then the later one is enlarged: the better match shows the direction. The
+# car has to move by metres, past things that stand out.
+_APART_M: Final = 2.0
+_FARTHEST_S: Final = 1.5
+_SCALES: Final = (1.05, 1.1, 1.17)  # growth of things 10 to 40 m away
+_BAND: Final = (0.3, 0.62)  # shares of the height: the horizon and the far road
+_MIN_GROWTHS: Final = 4
+_SHOWN_GROWTH: Final = 0.05
+"""In three recordings of people, nine in ten stretches of 3 to 6 s have more than 0.11, and none less than 0.01.
+The same pictures in reverse order have the negative values."""
+
+Gray = NDArray[np.uint8]
+
+
+def growth(pictures: CenterPictures, states: States, time_s: Values, first: int, last: int) -> float:
+    """The growth of the pictures between two row positions, -1..1. Above `_SHOWN_GROWTH`, the car drives forwards;
+    below `-_SHOWN_GROWTH`, backwards. NaN for fewer than `_MIN_GROWTHS` pairs."""
+    way_m = np.abs(np.nan_to_num(states.speed_mph)) * MPS_PER_MPH
+    driven_m = np.concatenate([[0.0], np.cumsum(way_m[:-1] * np.minimum(np.diff(time_s), 1.0))])
+    later = np.searchsorted(driven_m, driven_m + _APART_M).tolist()
+    growths = list[float]()
+    position = first
+    while (following := max(later[position], position + 1)) <= last:
+        if time_s[following] - time_s[position] <= _FARTHEST_S:
+            before, after = (pictures.gray(row) for row in (position, following))
+            if before is not None and after is not None and before.shape == after.shape:
+                growths.append(_growth(before, after))
+            position = following
+        else:
+            position += 1
+    finite = [value for value in growths if np.isfinite(value)]
+    return float(np.mean(finite)) if len(finite) >= _MIN_GROWTHS else float("nan")
+
+
+def _growth(before: Gray, after: Gray) -> float:
+    top, bottom = (round(share * before.shape[0]) for share in _BAND)
+    before, after = before[top : max(bottom, top + 1)], after[top : max(bottom, top + 1)]
+    forwards = max(_likeness(_enlarged(before, scale), after) for scale in _SCALES)
+    backwards = max(_likeness(before, _enlarged(after, scale)) for scale in _SCALES)
+    both = forwards + backwards
+    return (forwards - backwards) / both if forwards > 0 and backwards > 0 else float("nan")
+
+
+def _enlarged(picture: Gray, scale: float) -> Gray:
+    height, width = picture.shape
+    zoom = cv2.getRotationMatrix2D((width / 2, height / 2), 0, scale)
+    return np.asarray(cv2.warpAffine(picture, zoom, (width, height), borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def _likeness(first: Gray, second: Gray) -> float:
+    edges = [cv2.Sobel(cv2.GaussianBlur(picture, (3, 3), 0), cv2.CV_32F, 1, 0) for picture in (first, second)]
+    window = cv2.createHanningWindow(first.shape[::-1], cv2.CV_32F)
+    return cv2.phaseCorrelate(edges[0], edges[1], window)[1]

@@ -15,8 +15,7 @@ from typing import Final
 from common.car import CAMERAS, Camera
 from common.errors import brief, counted
 from recorder.log.session_car import UDACITY, Car
-from recorder.pictures.picture_size import PNG_START
-from recorder.pictures.whole_picture import whole_jpeg_size, whole_png_size
+from recorder.pictures.picture_size import PNG_START, whole_jpeg_size, whole_png_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, json_kind, parse_world
 

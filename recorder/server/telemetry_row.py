@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from recorder.bc_pb2 import VehicleState
-from recorder.log.pose_message import pose_message
-from recorder.log.writer import LogWriter
+from recorder.log.writer import LogWriter, pose_message
 from recorder.rows.devices import Device, device_value
 from recorder.server.telemetry import Telemetry
 

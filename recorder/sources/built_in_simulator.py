@@ -16,9 +16,8 @@ from common.progress import progress_bar
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
-from recorder.log.pose_message import pose_message
 from recorder.log.session_car import BUILT_IN, metadata_of
-from recorder.log.writer import LogWriter
+from recorder.log.writer import LogWriter, pose_message
 from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import SimulatedDrive
 from recorder.topics import VEHICLE_COLUMNS

@@ -8,7 +8,6 @@ import time
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
-from common.interrupts import leave_signals_to_main_thread
 from recorder.teleop.frame_state import FrameState
 from recorder.teleop.rate_meter import RateMeter
 from recorder.teleop.wheel import Wheel
@@ -133,7 +132,6 @@ class EyePictures:
         self._thread.join()
 
     def _run(self) -> None:
-        leave_signals_to_main_thread()
         while True:
             with self._changed:
                 self._rendering = None

@@ -15,6 +15,7 @@ from common.interrupts import stop_signals
 from common.location import shown_address
 from common.output import print_message
 from common.progress import StatusLine
+from common.streams import never_wait
 from recorder.errors import RecordingError
 from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
@@ -55,6 +56,7 @@ def listen_for_telemetry(
     Raises RecordingError if no usable telemetry came, ListenError if the port is taken, UserError if `log` exists
     and `overwrite` is off, or if the disk fails.
     """
+    never_wait()
     with stop_signals() as stopped, contextlib.ExitStack() as writing:
         with StatusLine() as status:
             listener = _Listener(log, settings.car, person, status, writing, overwrite=overwrite)

@@ -9,11 +9,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final, Self
 
-from common.interrupts import leave_signals_to_main_thread
 from recorder.bc_pb2 import VehicleState
 from recorder.log.meant_gaps import MeantGap
-from recorder.log.pose_message import pose_message
-from recorder.log.writer import EventLevel, LogWriter
+from recorder.log.writer import EventLevel, LogWriter, pose_message
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
 from simulator.rendering.camera import MOUNT_LEFT_M
@@ -86,7 +84,6 @@ class PersonRows:
         self.written = number + 1
 
     def _run(self) -> None:
-        leave_signals_to_main_thread()
         try:
             while True:
                 try:

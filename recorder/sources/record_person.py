@@ -16,6 +16,7 @@ from common.files import refuse_existing
 from common.interrupts import StopEvent, stop_signals
 from common.process_settings import prepare_to_drive
 from common.progress import StatusLine
+from common.streams import never_wait
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
@@ -66,6 +67,7 @@ def record_person(
     cv2.setNumThreads(1)  # rows and the person's pictures have a thread each
     simulation = simulation or simulation_on(drive.track)
     metadata = simulator_metadata(simulation, "human", rate=f"{drive.rate:g}")
+    never_wait()
     with ExitStack() as stack:
         stopped = stack.enter_context(stop_signals())
         about = hello(

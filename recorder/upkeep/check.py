@@ -11,10 +11,10 @@ from common.location import Location
 from common.process_settings import usable_cores
 from common.progress import track
 from recorder.errors import LogError
+from recorder.log.known_lag import find_lag
 from recorder.log.reader import Log
 from recorder.log.road_places import states_of
-from recorder.log.tagged_rows import TaggedRows, fine_rows
-from recorder.log.tags import EXCLUDE, read_tags
+from recorder.log.tags import EXCLUDE, TaggedRows, fine_rows, read_tags
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_structure
 from recorder.rows.label_plan import wrong_timing
@@ -23,7 +23,6 @@ from recorder.rows.steering_habits import LagFinding
 from recorder.topics import POSE, VEHICLE, camera_topic
 from recorder.upkeep.check_contents import GAPS, Contents, Finding, odd_findings
 from recorder.upkeep.check_structure import sound_chunks
-from recorder.upkeep.log_info import find_lag
 
 
 def is_whole(path: Location) -> bool:
@@ -70,7 +69,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
     with McapFile(path) as file:
         structure = read_structure(file)
         with ThreadPoolExecutor(usable_cores()) as pool:
-            contents = Contents(structure, findings, pool if look else None, is_ours=file.is_ours, fine=fine)
+            contents = Contents(structure, findings, pool if look else None, path, is_ours=file.is_ours, fine=fine)
             chunks = sound_chunks(file, structure, damage)
             for records, messages in track(chunks, f"checking {path.name}", len(structure.chunks)):
                 for message in messages:

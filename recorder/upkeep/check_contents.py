@@ -12,33 +12,26 @@ from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError, Message
 
+from common.location import Location
 from common.stretches import consecutive
 from recorder import topics
 from recorder.bc_pb2 import VehicleState
 from recorder.log.bad_telemetry import read_event
-from recorder.log.meant_gaps import NotRecorded
-from recorder.log.tagged_rows import TaggedRows
+from recorder.log.findings import WrittenRows
+from recorder.log.tags import TaggedRows
 from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import StoredMessage
 from recorder.mcap.message_index import LAST_TIME_NS
 from recorder.mcap.scan import Structure
 from recorder.pictures.image_check import ImageCheck, TopicPictures
 from recorder.pictures.picture_size import PictureSizes, width_and_height
+from recorder.rows.causes import CAUSES
 from recorder.rows.odd_stretches import OddStretch, odd_stretches, rows_named
-from recorder.rows.row_quality import STANDING_MPH, StatesWritten, row_flags
+from recorder.rows.row_quality import STANDING_MPH
 
 Content = TypeVar("Content", bound=Message)
 
 GAPS: Final = "gaps in time"
-ODD_FINDINGS: Final = {
-    "crash": "crashes",
-    "backwards": "stretches of driving backwards",
-    "parked": "stretches of a parked car",
-    "stuck_steering": "stretches of stuck steering",
-    "out_of_range": "stretches of values out of range",
-    "steering_against_pictures": "stretches of steering against the pictures",
-}
-"""Without coasting and creeping, which only `bc-log info` names."""
 MAX_STILL: Final = 0.1
 """The share of rows with the time of the row before, above which a clock is too coarse, such as whole seconds."""
 MISFIT: Final = "messages that do not match their schema"
@@ -57,6 +50,7 @@ class Contents:
         structure: Structure,
         findings: list[Finding],
         pool: Executor | None,
+        path: Location,
         *,
         is_ours: bool,
         fine: TaggedRows,
@@ -75,10 +69,9 @@ class Contents:
         in_order = {name for name, topic in topics.TOPICS.items() if topic.is_in_order}
         self._in_order = {number for number, topic in self._topics.items() if topic in in_order}
         self._bad_telemetry: Counter[str] = Counter()
-        self._not_recorded = NotRecorded()
         self._findings = findings
         self._image_check = ImageCheck(pool)
-        self._states = StatesWritten()
+        self._rows = WrittenRows(None, path)
         self._last_row: dict[str, int] = {}
         self._sizes = PictureSizes()
         self.counts: Counter[str] = Counter()
@@ -106,8 +99,7 @@ class Contents:
         if message.channel in self._vehicle:
             state = self._decoded(VehicleState, topic, records, message)
             if state is not None:
-                self._states.add(message.sequence, message.log_time_ns, state)
-                self._not_recorded.add_row(message.log_time_ns, state.not_recorded_s)
+                self._rows.add(message.sequence, message.log_time_ns, state)
         elif message.channel in self._images:
             self._add_picture(topic, records, message)
         elif message.channel in self._events:
@@ -139,7 +131,7 @@ class Contents:
         kind, count = read_event(event.message)
         if count:
             self._bad_telemetry[kind] += count
-        self._not_recorded.add_event(message.log_time_ns, event.message)
+        self._rows.add_event(message.log_time_ns, event.message)
 
     def finish(self) -> None:
         """Add the findings that need all messages."""
@@ -151,14 +143,14 @@ class Contents:
             self._findings.append(Finding("kinds of unusable telemetry", f"{reason} ({count:,})"))
         for topic, sizes in self._sizes.mixed().items():
             self._findings.append(Finding("cameras with pictures of several sizes", f"{topic}: {sizes}"))
-        states = self._states.states()
+        states = self._rows.states()
         keys = zip(states.row.tolist(), states.time_ns.tolist(), strict=True)
         speed_mph = dict(zip(keys, states.speed_mph.tolist(), strict=True))
         for topic in sorted(self._cameras(has_rows=bool(speed_mph))):
             self._check_pictures(topic, self._image_check.pictures.get(topic, TopicPictures()), speed_mph)
-        meant = self._not_recorded.gaps(states)
+        meant = self._rows.meant_gaps(states)
         self.meant_gaps = [f"before row {row}" for row in states.row[meant].tolist()]
-        for at in np.flatnonzero(row_flags(states)["gap"] & ~meant).tolist():
+        for at in np.flatnonzero(states.flags["gap"] & ~meant).tolist():
             row = int(states.row[at])
             if not self._fine.cover(row, row):
                 self._findings.append(Finding(GAPS, f"before row {row}"))
@@ -198,7 +190,7 @@ class Contents:
 def odd_findings(odd: Iterable[OddStretch]) -> list[Finding]:
     """The findings among odd stretches."""
     return [
-        Finding(ODD_FINDINGS[stretch.kind], rows_named(stretch.first_row, stretch.last_row))
+        Finding(CAUSES[stretch.kind].several, rows_named(stretch.first_row, stretch.last_row))
         for stretch in odd
-        if stretch.kind in ODD_FINDINGS
+        if CAUSES[stretch.kind].several
     ]

@@ -25,8 +25,7 @@ from recorder import topics
 from recorder.errors import LogError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
-from recorder.log.tagged_rows import tags_of
-from recorder.log.tags import Tag
+from recorder.log.tags import Tag, tags_of
 from recorder.log.writer import LogWriter
 from recorder.mcap.compressed_image import is_image_channel
 from recorder.rows.row_quality import drive_numbers

@@ -11,21 +11,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from common.location import Location
-from common.untrusted import whole_number
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from recorder import topics
-from recorder.log.known_lag import keep_lag, kept_lag, known_lag, noted_lag
-from recorder.log.meant_gaps import NotRecorded, meant_rows
+from recorder.log.findings import FlaggedRows, findings
+from recorder.log.known_lag import driven_by, find_lag, kept_lag
 from recorder.log.reader import Log
-from recorder.log.road_places import states_of
-from recorder.log.session_car import max_steering_deg_of
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag, tags_by_content
-from recorder.rows.devices import most_used_of
-from recorder.rows.label_plan import goes_by_lag, machine_of, plan_labels
-from recorder.rows.odd_stretches import OddStretch, odd_in, odd_stretches, odd_summary
-from recorder.rows.row_quality import ROW_FLAGS, States, summary
-from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag, steering_habits
+from recorder.log.tags import Tag, TaggedRows, tags_by_content
+from recorder.rows.label_plan import goes_by_lag, plan_labels
+from recorder.rows.odd_stretches import OddStretch
+from recorder.rows.steering_habits import SteeringHabits, SteeringLag
 
 
 @dataclass(frozen=True)
@@ -34,17 +28,6 @@ class TopicInfo:
     schema: str
     messages: int
     per_second: float
-
-
-@dataclass(frozen=True)
-class FlaggedRows:
-    """A stretch of rows that a flag holds for; times in seconds from the log's first row."""
-
-    flag: str
-    first_row: int
-    last_row: int
-    begin_s: float
-    end_s: float
 
 
 @dataclass(frozen=True)
@@ -114,43 +97,40 @@ def describe(
         first_ns, last_ns = log.time_range_ns
         duration_s = (last_ns - first_ns) / 1e9
         counts, schemas = log.counts, log.schemas
-        quality = _quality(log)
-        driven_s = _seconds(quality.get("driven_s", ""))
+        quality, found = log.read_metadata(topics.QUALITY_METADATA), findings(log)
         by_content = tags_by_content(log.path) if with_tags else {}
         fingerprint = log.fingerprint if by_content else ""  # not computed without tags
-        rate_s = duration_s if driven_s is None else driven_s
+        rate_s = found.driven_s if found else duration_s
         tags = sorted(by_content.get(fingerprint, ()))
-        odd = _odd(log, quality)
-        steering, finding = _steering(log, quality), noted_lag(quality)
-        goes_by = steering is not None and goes_by_lag(steering, driven_by(log))
-        if finding is None and goes_by:
-            finding = (kept_lag(log) if with_kept_lag else None) or (_measured(log)[0] if look else None)
-        stretches = json_as(quality.get("stretches", ""), list[tuple[str, int, int, float, float]])
+        lag = found.lag if found else None
+        goes_by = found is not None and goes_by_lag(found.steering, driven_by(log))
+        if lag is None and goes_by:
+            lag = (kept_lag(log) if with_kept_lag else None) or (find_lag(log)[0] if look else None)
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,
             start=_start(log, first_ns) if any(counts.values()) else "",
             duration_s=duration_s,
-            driven_s=driven_s,
+            driven_s=found.driven_s if found else None,
             topics=[
                 TopicInfo(name, schemas[name], counts[name], counts[name] / rate_s if rate_s > 0 else 0.0)
                 for name in sorted(counts)
             ],
             session=log.metadata,
-            drives=(whole_number(quality.get("drives", "")) or 0) if quality else None,
-            flags={flag: whole_number(quality.get(flag, "")) or 0 for flag in ROW_FLAGS} if quality else None,
-            stretches=[FlaggedRows(*values) for values in stretches or ()],
-            odd=TaggedRows(tags).untagged(odd) if odd is not None else None,
-            steering=steering,
-            lag=finding.lag if finding else None,
-            lacks_lag=finding is None and goes_by,
-            labels=str(plan_labels(steering, finding, driven_by(log))) if steering else "",
+            drives=found.drives if found else None,
+            flags=found.flags if found else None,
+            stretches=found.stretches if found else [],
+            odd=TaggedRows(tags).untagged(found.odd) if found else None,
+            steering=found.steering if found else None,
+            lag=lag.lag if lag else None,
+            lacks_lag=lag is None and goes_by,
+            labels=str(plan_labels(found.steering, lag, driven_by(log))) if found else "",
             picture_sizes=json_as(quality.get("picture_sizes", ""), dict[str, str]) or {},
             tags=tags,
             stale_tags=sum(len(tags) for content, tags in by_content.items() if content != fingerprint),
             notice=log.notice,
             is_ours=log.is_ours,
-            meant_gaps=meant_rows(quality),
+            meant_gaps=found.meant_gaps if found else [],
         )
 
 
@@ -164,36 +144,6 @@ def _start(log: Log, first_ns: int) -> str:
             return ""
         seconds = int(log.path.stat().st_mtime)
     return datetime.fromtimestamp(seconds, UTC).isoformat() if first_ns < 2**62 else ""
-
-
-def driven_by(log: Log) -> str:
-    """The machine that drove a log's session (`machine_of`)."""
-    return machine_of(log.metadata, has_commands=bool(log.counts.get(topics.PILOT_COMMAND)))
-
-
-def find_lag(log: Log) -> tuple[LagFinding | None, bool]:
-    """The lag of a log's steering, measured in its pictures if unknown; None if labels do not depend on it. The
-    second value is False if the measured lag could not be kept. Raises LogError for unreadable rows;
-    StoreError."""
-    lag = known_lag(log)
-    return _measured(log) if lag is None and _goes_by_lag(log) else (lag, True)
-
-
-def lacks_lag(log: Log) -> bool:
-    """True if a log's labels depend on the lag of its steering, but it was never measured."""
-    return known_lag(log) is None and _goes_by_lag(log)
-
-
-def _goes_by_lag(log: Log) -> bool:
-    steering = _steering(log, _quality(log))
-    return steering is not None and goes_by_lag(steering, driven_by(log))
-
-
-def _measured(log: Log) -> tuple[LagFinding, bool]:
-    from recorder.seen.steering_lag import measure_lag  # OpenCV
-
-    finding = LagFinding(measure_lag(log, States.of(log.vehicle())))
-    return finding, keep_lag(log, finding)
 
 
 def set_speeds_mph(log: Log) -> tuple[float, ...]:
@@ -211,45 +161,3 @@ def first_picture_sizes(log: Log) -> dict[str, tuple[int, int]] | None:
     not."""
     stored = log.read_metadata(topics.QUALITY_METADATA).get("first_picture_px", "")
     return json_as(stored, dict[str, tuple[int, int]])
-
-
-def _quality(log: Log) -> dict[str, str]:
-    """A log's summary of its rows, by its writer; for an unfinished log, made from its rows."""
-    stored = log.read_metadata(topics.QUALITY_METADATA)
-    if stored or not log.problem:
-        return stored
-    if (states := _states(log)) is None:
-        return {}
-    return summary(states) | odd_summary(states) | NotRecorded.of(log).summary(states)
-
-
-def _odd(log: Log, quality: dict[str, str]) -> list[OddStretch] | None:
-    """The stretches that the log's writer noted; for an earlier version's log, found in its rows."""
-    noted = odd_in(quality)
-    if noted is not None or not quality:
-        return noted
-    states = _states(log)
-    return None if states is None else odd_stretches(states)
-
-
-def _steering(log: Log, quality: dict[str, str]) -> SteeringHabits | None:
-    """The habits that the log's writer noted; for other logs, measured from its rows."""
-    if noted := json_as(quality.get("steering", ""), SteeringHabits):
-        return noted
-    states = _states(log)
-    if states is None:
-        return None
-    return steering_habits(states, max_steering_deg_of(log), most_used_of(log.devices()))
-
-
-def _states(log: Log) -> States | None:
-    """The states of a log of ours; None if it has no rows."""
-    return states_of(log) if log.is_ours and log.counts.get(topics.VEHICLE) else None
-
-
-def _seconds(text: str) -> float | None:
-    try:
-        seconds = float(text)
-    except ValueError:
-        return None
-    return seconds if math.isfinite(seconds) and seconds >= 0 else None

@@ -18,8 +18,7 @@ from common.untrusted import real_path
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
-from recorder.log.tagged_rows import bad_rows
-from recorder.log.tags import Tag, read_tags
+from recorder.log.tags import Tag, bad_rows, read_tags
 from recorder.mcap.mcap_file import Chunk
 from recorder.rows.odd_stretches import rows_named
 from recorder.upkeep.check_contents import MISFIT

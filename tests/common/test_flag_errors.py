@@ -7,15 +7,14 @@ from collections.abc import Callable
 import pytest
 
 from dataset.cli import main as bc_index
-from drive.cli import main as bc_drive
 from drive.doctor_cli import main as bc_doctor
-from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
 from simulator.cli import main as bc_sim
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.udacity import call
 from viz.cli import main as bc_play
 
 TRIM = ("trim", "a.mcap", "--to", "b.mcap")
@@ -25,24 +24,23 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
     ("command", "flags", "expected"),
     [
         # of another kind than the flag takes
-        (bc_train, ["--epochs", "two"], "bc-train: --epochs two: expected a whole number"),
+        (bc_train, ["--epochs", "two"], "bc-train: --epochs: expected a whole number"),
         (bc_train, ["--on"], "bc-train: --on: expected SESSION [SESSION ...] after it"),
         (bc_train, ["--init", "a", "--takeovers", "--name", "b"], "bc-train: --takeovers: expected LOG [LOG ...]"),
         (bc_train, ["--alter-each-epoch", "--epochs", "2"], "bc-train: --alter-each-epoch: expected at least one"),
         (bc_index, ["--alter"], "bc-index: --alter: expected at least one word after it"),
         (bc_index, ["a", "--validation", "--no-flip"], "bc-index: --validation: expected SESSION [SESSION ...]"),
-        (bc_train, ["--epochs=two"], "bc-train: --epochs two: expected a whole number"),
-        (bc_record, ["a", "--laps", "two"], "bc-record: --laps two: expected a number"),
+        (bc_train, ["--epochs=two"], "bc-train: --epochs: expected a whole number"),
+        (bc_record, ["a", "--laps", "two"], "bc-record: --laps: expected a number; `bc-record --help-all`"),
         (bc_record, ["a", "--laps"], "bc-record: --laps: expected a number after it"),
-        (bc_record, ["a", "--speed", "fast"], "bc-record: --speed fast: expected MPH [MPH ...]"),
-        (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows 3: expected two whole numbers"),
-        (bc_log, [*TRIM, "--rows", "a", "b", "--force"], "bc-log: --rows a b: expected two whole numbers"),
+        (bc_record, ["a", "--speed", "fast"], "bc-record: --speed: expected MPH [MPH ...]"),
+        (bc_log, [*TRIM, "--rows", "3"], "bc-log: --rows: expected INT INT; `bc-log trim --help-all` has"),
         (bc_index, ["--labels", "raw", "--look"], "bc-index: --labels raw: expected one of as-recorded, auto"),
         (bc_index, ["--recipe", "secret"], "bc-index: --recipe secret: expected one of original, people"),
         # an empty word, of a shell's unset variable, is not the current folder
         (bc_import, ["", "a"], "bc-import: '': expected SOURCE"),
-        (bc_record, ["a", "--sessions="], "bc-record: --sessions '': expected PATH"),
-        (bc_train, ["--init", "a", "--takeovers", "b", ""], "bc-train: --takeovers b '': expected LOG [LOG ...]"),
+        (bc_record, ["a", "--sessions="], "bc-record: --sessions: expected PATH"),
+        (bc_train, ["--init", "a", "--takeovers", "b", ""], "bc-train: --takeovers: expected LOG [LOG ...]"),
         (bc_log, ["ls", ""], "bc-log: '': expected [FOLDER|LOG ...]"),
         (bc_doctor, [""], "bc-doctor: '': expected [PATH]"),
         # a number that is never valid
@@ -60,33 +58,20 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_log, [], "bc-log: which command? One of ls, info, check"),
         (bc_record, ["a", "-track"], "bc-record: -track: no such flag; did you mean --track?"),
         (bc_import, ["a", "--colums=b"], "bc-import: --colums: no such flag; did you mean --columns?"),
-        (bc_log, ["info", "a", "--where", "row < 3"], "bc-log: --where: not a flag of this command; `"),
+        (
+            bc_log,
+            ["info", "a", "--where", "row < 3"],
+            "bc-log: --where: no such flag; `bc-log info --help-all`",
+        ),
         (bc_index, ["--flip"], "bc-index: --flip: no such flag; did you mean --no-flip?"),
         (bc_index, ["--figures", "f"], "bc-index: --figures: was removed; bc-web shows the balance"),
         (bc_record, ["my", "drive"], "bc-record: drive: one word too many"),
-        (bc_play, ["a", "--by", "place", "b"], "bc-play: b: one word too many after --by place; put words"),
-        (
-            bc_index,
-            ["a", "--seed", "2", "b"],
-            "bc-index: b: one word too many after --seed 2; put words without a flag",
-        ),
-        (
-            bc_drive,
-            ["a", "--takeover", "you"],
-            "bc-drive: you: one word too many after --takeover expert; --takeover is expert or me;",
-        ),
-        (
-            bc_log,
-            ["ls", "a", "--json", "b"],
-            "bc-log: b: one word too many after --json; put words without a flag",
-        ),
-        (bc_log, ["ls", "b", "--sort", "name", "a"], "bc-log: a: one word too many after --sort name; put words"),
+        (bc_play, ["a", "--by", "place", "b"], "bc-play: b: one word too many; put names with"),
         (
             bc_log,
             ["ls", "--sort"],
             "bc-log: --sort: expected {newest,name,rows,duration} after it; `bc-log ls --help-",
         ),
-        (bc_log, ["ls", "a", "--json=1"], "bc-log: --json=1: --json takes no value; `bc-log ls --help-all`"),
         (bc_import, ["--rate", "1"], "bc-import: SOURCE is missing"),
         (bc_log, TRIM[:2], "bc-log: --to is missing; `bc-log trim --help-all` has all flags"),
         # a speed or a number of laps that is a slip of the finger

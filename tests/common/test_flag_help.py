@@ -9,12 +9,11 @@ import pytest
 from dataset.cli import main as bc_index
 from drive.cli import main as bc_drive
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import one_line_in
 from model.cli import main as bc_train
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.udacity import call
 from viz.cli import main as bc_play
 
 SCREEN_LINES = 60
@@ -47,22 +46,6 @@ def test_help_shows_the_defaults_of_the_recipe(capsys: pytest.CaptureFixture[str
     assert "(default: as-recorded)" in " ".join(capsys.readouterr().out.replace("│", "").split())
 
 
-def test_help_shows_neither_none_nor_empty_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    for command, *words in ((bc_train,), (bc_drive,), (bc_play,), (bc_eval,), (bc_log, "info"), (bc_log, "trim")):
-        assert call(command, *words, "--help-all") == 0
-        shown = " ".join(capsys.readouterr().out.replace("│", "").split())
-        assert "{None" not in shown
-        assert "(default: )" not in shown
-        assert "(default: '')" not in shown
-    assert "--start FLOAT" in shown
-    assert "LOG The log to trim. (required)" in shown
-
-
 def test_help_of_a_subcommand_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_log, "trim", "--help") == 0
     assert "--rows" in capsys.readouterr().out
-
-
-def test_a_rare_flag_is_parsed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_train, "--micro-batch", "few") == 2
-    assert one_line_in(capsys).startswith("bc-train: --micro-batch few: expected a whole number")

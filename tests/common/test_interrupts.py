@@ -35,6 +35,13 @@ def test_a_terminal_that_is_closed_is_passed_over_under_nohup() -> None:
         signal.signal(SIGHUP, before)
 
 
+def test_a_second_ctrl_c_interrupts() -> None:
+    with stop_signals(), pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)  # a terminal that is closed is often noticed twice
+        signal.raise_signal(signal.SIGINT)
+
+
 def test_a_signal_waits_for_the_end_of_what_must_not_be_interrupted() -> None:
     done = []
     with pytest.raises(KeyboardInterrupt):  # noqa: PT012  (it is when it comes that matters)

@@ -6,8 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from common import UserError
 from common.locks import is_being_written, lock, try_lock
-from driving import PATIENCE_S, environment
+from common.store_connection import store_settings
+from common.users_cache import users_cache
+from tests.helpers.driving import PATIENCE_S, environment
 
 HOLDER = """
 import sys
@@ -48,3 +53,14 @@ def test_a_killed_process_holds_no_lock(tmp_path: Path) -> None:
             lock(stream)
             assert is_being_written(path)
     assert not is_being_written(path)
+
+
+def test_a_user_without_a_home_folder_names_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("HOME", "BC_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as for a user that the system does not know
+    with pytest.raises(UserError, match="no home folder for the cache: set BC_CACHE"):
+        users_cache()
+    assert "region" not in store_settings("s3")
+    monkeypatch.setenv("BC_CACHE", str(tmp_path))
+    assert users_cache() == tmp_path

@@ -14,8 +14,8 @@ from dataset import IndexConfig, Samples
 from dataset.cli import main as bc_index
 from model import TrainConfig
 from model.cli import main as bc_train
-from toy import toy_index
-from udacity import call
+from tests.helpers.toy import toy_index
+from tests.helpers.udacity import call
 
 
 def trained(folder: Path, *flags: object) -> dict[str, Any]:
@@ -64,11 +64,3 @@ def test_a_run_is_repeated_by_its_own_recipe_alone(tmp_path: Path, capsys: pytes
     assert call(bc_train, *again, "--sessions", tmp_path) in (0, 3)
     config = json.loads((tmp_path / "runs" / "again" / "config.json").read_text())
     assert config["training"]["recipe"] == "original"
-
-
-def test_an_index_of_another_recipe_is_remarked_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    toy_index(tmp_path)
-    flags = ["--sessions", tmp_path, "--index", tmp_path / "new" / "index"]
-    assert call(bc_index, *flags, "--recipe", "original") in (0, 3)
-    trained(tmp_path)
-    assert "built with the recipe original, trained with large-steps" in capsys.readouterr().err

@@ -11,12 +11,14 @@ from typing import Any
 
 import pytest
 
+from common import versions
 from common.stored_settings import settings_from
 from dataset import IndexConfig
-from model import RunError, TrainConfig, load_pilot, train
+from model import TrainConfig, load_pilot, train
 from model.cli import main
-from toy import ONE
-from udacity import call
+from tests.helpers.repository import ROOT
+from tests.helpers.toy import ONE
+from tests.helpers.udacity import call
 
 
 def through_json(values: object) -> Any:
@@ -28,13 +30,6 @@ def test_what_was_stored_comes_back() -> None:
     assert settings_from(TrainConfig, through_json(asdict(training))) == training
     index = IndexConfig(per_bin=7, cameras=("left",), where="speed_mph > 5", validation=("a", "b"), gap_s=2)
     assert settings_from(IndexConfig, through_json(asdict(index))) == index
-
-
-def test_whole_numbers_among_floats_are_written_again_as_they_were_stored() -> None:
-    assert repr(settings_from(TrainConfig, {"rate": 1}).rate) == "1"
-    assert repr(settings_from(TrainConfig, {"rate": 1.0}).rate) == "1.0"
-    stored = {**asdict(IndexConfig()), "block_s": 10, "gap_s": 0}
-    assert json.dumps(asdict(settings_from(IndexConfig, stored))) == json.dumps(stored)
 
 
 @pytest.mark.parametrize(
@@ -82,9 +77,57 @@ def test_a_fine_tuned_run_is_repeated_from_its_initial_weights(index: Path, trai
     assert call(main, "--name", "third", "--like", "tuned", *places) == 1
 
 
-def test_a_config_nested_without_end_is_named(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
-    (run / "config.json").write_text("[" * 100_000)
-    with pytest.raises(RunError, match=r"config\.json: cannot be read"):
-        load_pilot(run)
+@pytest.fixture
+def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An environment that pip has made; the toolkit is that of this checkout."""
+    monkeypatch.setattr("sys.prefix", str(tmp_path / "env"))
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "pyvenv.cfg").write_text("home = /usr/bin\nversion = 3.12.1\n")
+    return tmp_path / "env"
+
+
+def test_pip_gets_the_versions_of_the_checkout(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(prefix)
+    tested = f"-c {ROOT}/constraints.txt"
+    assert versions.install_line("onnx") == f"pip install {tested} -e '{ROOT}[onnx]'"
+    assert versions.package_line("rerun-sdk") == f"pip install {tested} rerun-sdk"
+    monkeypatch.chdir(ROOT)
+    assert versions.install_line("onnx") == "pip install -c constraints.txt -e '.[onnx]'"
+
+
+def test_uv_and_pipx_are_named_where_they_made_the_environment(
+    prefix: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    (prefix / "pipx_metadata.json").write_text("{}")
+    line = "pipx runpip behavioural-cloning-toolkit install -c constraints.txt -e '.[onnx]'"
+    assert versions.install_line("onnx") == line
+    (prefix / "pyvenv.cfg").write_text("home = /usr/bin\nuv = 0.5.1\n")
+    assert versions.install_line("onnx") == f"uv pip install --python {prefix} -c constraints.txt -e '.[onnx]'"
+
+
+@pytest.mark.parametrize(
+    ("noted", "expected"),
+    [
+        ({"url": "file://FOLDER", "dir_info": {}}, "-c FOLDER/constraints.txt 'FOLDER[onnx]'"),
+        ({"url": "file:///gone", "dir_info": {}}, "'.[onnx]'"),
+        (
+            {"url": "https://host/x.git", "vcs_info": {"vcs": "git"}},
+            "'behavioural-cloning-toolkit[onnx] @ git+https://host/x.git'",
+        ),
+    ],
+)
+def test_an_installed_toolkit_knows_where_it_came_from(
+    noted: dict[str, object], expected: str, prefix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Installed:
+        @staticmethod
+        def read_text(name: str) -> str:
+            return json.dumps(noted).replace("FOLDER", str(tmp_path))
+
+    for name in ("pyproject.toml", "constraints.txt"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(prefix)
+    monkeypatch.setattr(versions, "__file__", str(prefix / "site-packages" / "common" / "versions.py"))
+    monkeypatch.setattr("importlib.metadata.distribution", lambda name: Installed)
+    assert versions.install_line("onnx") == f"pip install {expected.replace('FOLDER', str(tmp_path))}"

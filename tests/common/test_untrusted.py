@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import resource
-import signal
 import sqlite3
 import struct
 import subprocess
@@ -16,7 +14,6 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from mcap.records import Channel, McapRecord, Schema, Statistics
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
@@ -25,24 +22,21 @@ from rosbags.rosbag2 import StoragePlugin
 from common.untrusted import open_regular, read_bounded
 from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import BuildState, read_state
-from driving import Process, command, environment, run
-from logs import START_NS, read_messages, write_log
-from mcap_patch import patched
-from other_logs import CAMERA, ROS_TOPICS, write_bag
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.decoding import decodes
 from recorder.sources.imported_rows import Imported
-from recorder.sources.mcap_messages import decoder_for
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.ros2_bag import yaml_content
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import read_udacity
 from recorder.upkeep.edit import trim
-from recorder.upkeep.recover import recover
-from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import jpeg, make_recording, paths, picture_name
-from waiting import PATIENCE_S, wait_until
+from tests.helpers.driving import command, environment, run
+from tests.helpers.logs import START_NS, read_messages
+from tests.helpers.other_logs import ROS_TOPICS, write_bag
+from tests.helpers.tubs import record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.udacity import jpeg, make_recording, paths, picture_name
+from tests.helpers.waiting import PATIENCE_S
 
 MEMORY_BYTES = 1 << 30
 HOLE_BYTES = 1 << 42  # of a file without content: it takes no place on the disk
@@ -146,14 +140,6 @@ def test_a_huge_csv_is_one_clear_line(tmp_path: Path) -> None:
             record(tmp_path / "drive", tmp_path / "log.mcap")
 
 
-def test_a_csv_without_line_ends_takes_little_memory(tmp_path: Path) -> None:
-    make_recording(tmp_path / "drive", CSV, [0, 1])
-    with (tmp_path / "drive" / "driving_log.csv").open("ab") as csv:
-        csv.write(b"x" * 5_000_000)
-    for done in recorded(tmp_path):
-        assert list(done.skipped) == [("rows with more than 65,536 bytes", "line 3")]
-
-
 def test_huge_files_of_a_tub(tmp_path: Path) -> None:
     first = write_tub_1(tmp_path / "one", {number: record_1(number) for number in range(4)})
     with_hole(first / "record_1.json")
@@ -171,13 +157,6 @@ def test_huge_files_of_a_tub(tmp_path: Path) -> None:
         import_recording(second, tmp_path / "two.mcap")
 
 
-def test_a_huge_metadata_file_of_a_bag(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
-    with_hole(bag / "metadata.yaml")
-    with pytest.raises(RecordingError, match=r"metadata\.yaml cannot be read"):
-        import_recording(bag, tmp_path / "log.mcap", ROS_TOPICS)
-
-
 def test_metadata_of_a_bag_that_repeats_itself_without_end(tmp_path: Path) -> None:
     """Each mapping is merged twice into the next one: the last would have 2 to the power of 60."""
     merges = "".join(f"a{n + 1}: &a{n + 1} {{<<: [*a{n}, *a{n}], k{n}: 1}}\n" for n in range(60))
@@ -185,16 +164,6 @@ def test_metadata_of_a_bag_that_repeats_itself_without_end(tmp_path: Path) -> No
     text = (bag / "metadata.yaml").read_text()
     (bag / "metadata.yaml").write_text(f"a0: &a0 {{k: 1}}\n{merges}{text}")
     assert import_recording(bag, tmp_path / "log.mcap", ROS_TOPICS).rows
-
-
-def test_yaml_is_what_its_writer_meant(tmp_path: Path) -> None:
-    text = b"a:\n  - b: 'c'\n    d: [1, {e: ~}]\n  - |\n    two\n    lines\nf: &g null\nh: *g\n? [no, key]\n: 1\n"
-    assert yaml_content(text) == {
-        "a": [{"b": "c", "d": ["1", {"e": "~"}]}, "two\nlines\n"],
-        "f": "null",
-        "h": None,
-    }
-    assert yaml_content(b"") is None
 
 
 @pytest.mark.parametrize(
@@ -209,13 +178,6 @@ def test_yaml_is_what_its_writer_meant(tmp_path: Path) -> None:
 def test_yaml_is_bounded_in_depth_and_number(text: bytes, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         yaml_content(text)
-
-
-def test_a_definition_of_thousands_of_fields_is_refused() -> None:
-    fields = "".join(f"float32 field_{number}\n" for number in range(4000)).encode()
-    assert len(fields) > 1 << 16
-    with pytest.raises(RecordingError, match=f"the definition of its type has {len(fields):,} bytes"):
-        decoder_for(Schema(1, fields, "ros2msg", "a/msg/B"), Channel(1, "/a", "cdr", {}, 1))
 
 
 # ROS bags that are programs
@@ -240,43 +202,6 @@ def test_a_view_in_the_place_of_a_bags_table_is_not_run(tmp_path: Path, table: s
     told = "malformed" if doctored else f"{table} is not a table"  # the former by SQLite itself
     with pytest.raises(RecordingError, match=told):
         import_recording(bag, tmp_path / "log.mcap", ROS_TOPICS)
-
-
-def test_a_bag_that_keeps_sqlite_busy_can_be_stopped(tmp_path: Path) -> None:
-    """A column that is computed, slowly: nothing tells it from a large bag."""
-    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
-    database = sqlite3.connect(bag / "bag.db3")
-    database.execute("DROP TABLE messages")
-    database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, data BLOB)")
-    database.executemany("INSERT INTO messages(topic_id, data) VALUES (1, x'00')", [()] * 100_000)
-    slow = "length(hex(zeroblob(1000000 + id)))"
-    database.execute(f"ALTER TABLE messages ADD COLUMN timestamp INTEGER GENERATED ALWAYS AS ({slow}) VIRTUAL")
-    database.commit()
-    database.close()
-    flags = ["--image", CAMERA, "--steering", "/cmd_vel.angular.z"]
-    with Process(command("bc-import", bag, "car", *flags), cwd=tmp_path) as process:
-        wait_until_busy(process.popen.pid, bag / "bag.db3")
-        assert process.end(signal.SIGINT) == 130
-        assert process.stderr == ["bc-import: stopped"]
-
-
-def wait_until_busy(pid: int, file: Path) -> None:
-    """Until the process has computed for a second with the file open."""
-    process = Path(f"/proc/{pid}")
-    if not process.exists():
-        pytest.skip("stopping was not tried: this system does not tell how long a process has computed")
-
-    def has_opened() -> bool:
-        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
-            return any(link.readlink() == file for link in (process / "fd").iterdir())
-        return False
-
-    def computed() -> int:
-        return int((process / "stat").read_text().split()[13])
-
-    wait_until(has_opened)
-    enough = computed() + os.sysconf("SC_CLK_TCK")
-    wait_until(lambda: computed() >= enough)
 
 
 # Logs that unpack to more than they are
@@ -323,25 +248,6 @@ def test_a_log_of_more_messages_than_bytes_is_not_unpacked_into_memory(tmp_path:
         assert "Traceback" not in done.stderr
     with Log(path) as log:
         assert (log.counts, log.lost) == ({}, [(34, path.stat().st_size)])
-
-
-def test_a_log_of_more_messages_than_its_size_explains_is_refused(tmp_path: Path) -> None:
-    """A message takes four bytes of any file that was not made to fill a memory, beside 65,536 of them."""
-    with Log(write_packed(tmp_path / "many.mcap", 165_000, os.urandom(400_000))) as log:
-        assert log.counts == {"/x": 165_000}
-    with Log(write_packed(tmp_path / "more.mcap", 170_000, os.urandom(400_000))) as log:
-        assert log.counts == {}
-
-
-def test_a_log_that_declares_more_messages_than_it_can_hold_is_refused(tmp_path: Path) -> None:
-    def declare_many(record: McapRecord) -> None:
-        if isinstance(record, Statistics):
-            record.message_count = 10**15
-
-    log = patched(write_log(tmp_path / "declares.mcap", [0.1] * 5), summary=declare_many)
-    with pytest.raises(LogError, match=r"declares\.mcap: damaged: 1,000,000,000,000,000 messages in"):
-        Log(log)
-    assert recover(log, tmp_path / "saved.mcap").rows == 5
 
 
 def test_trimming_takes_little_memory_for_each_message(tmp_path: Path) -> None:

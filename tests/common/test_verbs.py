@@ -9,7 +9,7 @@ import pytest
 from common.verbs import in_verbs
 from recorder.cli import EARLIER as OF_RECORD
 from recorder.cli import main as bc_record
-from udacity import call
+from tests.helpers.udacity import call
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from dataset import build_index
-from logs import START_NS, STEP_NS
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.upkeep.log_info import describe
+from tests.helpers.logs import START_NS, STEP_NS
 
 Devices = list["VehicleState.Device"]
 
@@ -72,16 +72,3 @@ def test_what_describes_a_log_names_the_device(tmp_path: Path) -> None:
     info = describe(steered(tmp_path / "a.mcap", [VehicleState.MOUSE] * 100))
     assert info.driver == "human (mouse)"
     assert info.labels == "mean of 0.5 s, 0.2 s later (mouse)"
-
-
-def test_an_unfinished_log_names_the_device_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
-    steered(tmp_path / "a.mcap", [VehicleState.GAMEPAD] * 20, unfinished=tmp_path / "b.mcap")
-    assert describe(tmp_path / "b.mcap").driver == "human (gamepad)"
-
-
-def test_a_device_of_a_later_version_is_unknown(tmp_path: Path) -> None:
-    log = steered(tmp_path / "a.mcap", [9] * 3)  # type: ignore[list-item]
-    build_index([log], tmp_path / "index")
-    assert pq.read_table(tmp_path / "index" / "frames" / "a.parquet")["device"].to_pylist() == [""] * 3
-    assert describe(log).driver == "human"

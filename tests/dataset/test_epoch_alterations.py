@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from dataset import IndexConfig, Loader, build_index, load
+from dataset.alterations import EpochAlterations
 from dataset.config import EPOCH_ALTERATIONS, EpochAlteration
-from dataset.epoch_alterations import EpochAlterations
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image, in_channels
-from logs import write_log
-from udacity import scene
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import scene
 
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
 COUNT = 300
@@ -105,18 +105,6 @@ def test_an_alteration_is_drawn_the_same_whichever_others_there_are() -> None:
     assert (alone.matrix == together.matrix).all()
 
 
-def test_draws_are_those_of_splitmix64() -> None:
-    """By the published formula, in whole numbers: a run that is resumed anywhere sees the same."""
-    seed, epoch, sample = 3, 2, 10**9
-    key = int(np.random.SeedSequence((seed, epoch)).generate_state(1, np.uint64)[0])
-    mixed = (key + (24 * sample + 1) * 0x9E3779B97F4A7C15) % 2**64  # the first draw of 24: columns
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
-        mixed = (mixed ^ (mixed >> shift)) * factor % 2**64
-    columns = 8 * ((mixed >> 11) / 2**52 - 1)
-    [label] = alterations_of("move", seed=seed).labels(np.zeros(1, np.float32), epoch, np.array([sample]))
-    assert label == pytest.approx(0.0075 * columns, abs=1e-7)
-
-
 def test_mixed_colours_change_no_draw_of_version_0_3() -> None:
     names = [name for name in EPOCH_ALTERATIONS if name != "mix"]
     earlier, today = (alterations_of(*some).draw(3, SAMPLES, 64, 64) for some in (names, EPOCH_ALTERATIONS))
@@ -175,14 +163,6 @@ def test_another_size_moves_by_its_share_steering_by_side_correction() -> None:
     np.testing.assert_allclose(2 * of_side[0.1], of_side[0.2], rtol=1e-5)
 
 
-def test_the_loader_takes_the_side_correction_of_its_index(index: Path) -> None:
-    with load(index, batch=1000, alter_each_epoch=("move",)) as loader:
-        order, labels = loader.order(1), next(loader.epoch(1)).labels
-        expected = alterations_of("move", side_correction=0.1).labels(loader.rows.label[order], 1, order)
-        assert (labels == expected).all()
-        assert np.abs(labels - loader.rows.label[order]).max() > 0.02
-
-
 def test_of_several_targets_only_steering_moves_up_to_full_lock() -> None:
     before = np.stack([np.linspace(-1, 1, COUNT), np.full(COUNT, np.nan)], axis=1).astype(np.float32)
     labels = alterations_of("move").labels(before, 1, SAMPLES)
@@ -190,12 +170,6 @@ def test_of_several_targets_only_steering_moves_up_to_full_lock() -> None:
     assert np.abs(labels[:, 0]).max() == 1
     assert (labels[:, 0] != before[:, 0]).mean() > 0.9
     assert before[0, 0] == -1  # the index's own are not touched
-
-
-@pytest.mark.parametrize("name", [name for name in EPOCH_ALTERATIONS if name != "move"])
-def test_no_other_alteration_changes_a_label(name: EpochAlteration) -> None:
-    labels = np.linspace(-1, 1, COUNT, dtype=np.float32)
-    assert alterations_of(name).labels(labels, 1, SAMPLES) is labels
 
 
 # What each does
@@ -207,18 +181,6 @@ def test_zoom_keeps_the_middle_and_moves_the_rest_by_a_tenth() -> None:
     share = (places(altered(spot(middle[0] + 40, middle[1]), "zoom"))[:, 0] - middle[0]) / 40
     assert share.min() == pytest.approx(0.9, abs=0.02)
     assert share.max() == pytest.approx(1.1, abs=0.02)
-
-
-def test_a_turn_is_at_most_3_degrees_around_the_middle() -> None:
-    middle = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
-    beside = places(altered(spot(middle[0] + 40, middle[1]), "turn")) - middle
-    angle = np.degrees(np.arctan2(beside[:, 1], beside[:, 0]))
-    assert (angle.min(), angle.max()) == pytest.approx((-3, 3), abs=0.2)
-    np.testing.assert_allclose(np.hypot(*beside.T), 40, atol=0.2)
-
-
-def test_nothing_black_comes_in_at_the_edges() -> None:
-    assert (altered(grey(90), "move", "zoom", "turn") == 90).all()
 
 
 def test_contrast_keeps_the_middle_brightness_adds_colours_are_apart() -> None:

@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from dataset import DatasetError, IndexConfig, Indexed, build_index, find_logs
 from dataset.cli import main
 from dataset.frames.split import block_numbers, validation_blocks
-from dataset.samples.balance import balance
+from dataset.samples.sample_choice import balance
 from dataset.steering_bins import bin_of
-from logs import START_NS, STEP_NS, plain_read, write_log, write_session
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.rows.row_quality import drive_numbers
-from udacity import call
+from tests.helpers.logs import START_NS, STEP_NS, plain_read, write_log, write_session
+from tests.helpers.udacity import call
 
 STEERING = [0.0] * 150 + [round(0.9 * np.sin(i / 7), 3) for i in range(150)]  # straight on, then bends: 30 s
 BLOCKS = IndexConfig(block_s=2.0)
@@ -58,14 +58,6 @@ def test_a_mirrored_steering_falls_into_the_mirrored_bin(values: list[float], bi
     assert ((right >= 0) & (right < bins)).all()
 
 
-@pytest.mark.parametrize(
-    ("steering", "expected"),
-    [(-1.0, 0), (-0.93, 0), (-0.91, 1), (-0.05, 11), (-0.03, 12), (0.0, 12), (0.03, 12), (0.05, 13), (1.0, 24)],
-)
-def test_twenty_five_bins_are_each_eight_hundredths_wide(steering: float, expected: int) -> None:
-    assert bin_of(np.array([steering]), 25).tolist() == [expected]
-
-
 @given(
     distributions,
     bins_from_1,
@@ -92,11 +84,6 @@ def test_every_filled_bin_holds_what_was_asked_for_or_the_cap_allows(
     for i in before:  # copies are spread evenly
         shared = [count for position, count in uses.items() if bin_numbers[position] == i]
         assert max(shared) - min(shared) <= 1
-
-
-def test_nothing_to_balance_is_nothing() -> None:
-    done = balance(np.zeros(0, np.int64), 25, 10, np.random.default_rng(0))
-    assert (len(done.chosen), done.per_bin, done.short) == (0, 0, {})
 
 
 # Samples
@@ -187,13 +174,6 @@ def test_validation_is_as_near_to_its_share_as_whole_blocks_allow(
     assert abs(sum(lengths[i] for i in taken) - share * len(block)) <= max(lengths)
 
 
-def test_another_seed_holds_other_blocks_out() -> None:
-    block = np.repeat(np.arange(50), 20)
-    held_out = {tuple(validation_blocks(block, 0.2, seed, "session").tolist()) for seed in range(5)}
-    assert len(held_out) == 5
-    assert {len(blocks) for blocks in held_out} == {10}
-
-
 def test_another_session_moves_no_ones_split(tmp_path: Path) -> None:
     alone = rows_of(index_of(tmp_path, a=STEERING).path / "frames" / "a.parquet")
     together = rows_of(index_of(tmp_path, a=STEERING, b=STEERING[::-1]).path / "frames" / "a.parquet")
@@ -212,17 +192,6 @@ def test_ranges_lead_to_the_pictures_bytes_and_values_to_their_rows(tmp_path: Pa
         assert plain_read(tmp_path / "a.mcap", row["offset"], row["length"]) == expected
         values = [row[name] for name in ("log_time_ns", "steering", "throttle", "brake", "speed_mph")]
         assert values == [START_NS + row["row"] * STEP_NS, STEERING[row["row"]], 0.5, 0.0, 9.0]
-
-
-def test_a_picture_without_a_vehicle_state_is_no_frame(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with LogWriter(path, {}) as writer:
-        for row in range(3):
-            writer.picture("center", row * STEP_NS, row, b"picture")
-        for row in (0, 2):
-            writer.vehicle(row * STEP_NS, row, VehicleState(steering=row / 10))
-    frames = build_index([path], tmp_path / "index").frames.to_pylist()
-    assert [(row["row"], row["steering"]) for row in frames] == [(0, 0.0), (2, 0.2)]
 
 
 # The same bytes, and nothing read twice
@@ -309,15 +278,6 @@ def test_a_standing_start_that_two_drives_share_is_not_held_out(
     assert call(main, "--sessions", tmp_path, "--index", tmp_path / "again") == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "same pictures of a standing car in several sessions: a (12 rows from row 0), b (12" in said
-
-
-def test_a_recording_that_stands_and_is_there_twice_is_refused(tmp_path: Path) -> None:
-    for rows, standing in ((40, 40), (40, 20)):
-        folder = tmp_path / str(standing)
-        folder.mkdir()
-        logs = [standing_start(folder / f"{name}.mcap", rows, standing) for name in "ab"]
-        with pytest.raises(DatasetError, match="the same picture in both"):
-            build_index(logs, folder / "index", BLOCKS)
 
 
 @pytest.mark.parametrize(("second", "is_hinted"), [({}, True), ({"drive.seed": "1"}, False)])

@@ -13,14 +13,13 @@ import pytest
 
 from dataset import IndexConfig, Indexed, build_index
 from dataset.cli import main
-from dataset.frames.drivers import DRIVERS
 from dataset.frames.frames_table import is_for_training
 from dataset.index.leaks import find_leaks
-from driving import one_line_in
-from logs import START_NS, write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
 
 STEP_NS = 40_000_000  # 25 telemetries a second
 P, H, X = PilotCommand.PILOT, PilotCommand.HUMAN, PilotCommand.EXPERT
@@ -74,12 +73,6 @@ def index_of(folder: Path, rows: Sequence[Row], config: IndexConfig) -> Indexed:
 MIXED = driven((P, 100), (X, 60), (P, 200), (H, 50), (None, 20), (0, 10), (X, 60), (P, 50))
 
 
-def test_the_drivers_are_those_of_the_log_in_its_order() -> None:
-    numbers = {"" if name == "UNKNOWN" else name.lower(): number for name, number in PilotCommand.Driver.items()}
-    assert numbers.pop("brake") == len(DRIVERS)  # of a row that was braked, nobody drove
-    assert numbers == {name: number for number, name in enumerate(DRIVERS)}
-
-
 def test_each_frame_has_its_driver_and_takeovers_are_as_commanded(tmp_path: Path) -> None:
     frames = rows_of(index_of(tmp_path, MIXED, IndexConfig()), "frames/drive")
     assert [frame["driver"] for frame in frames] == [NAMES[row.driver or 0] for row in MIXED]
@@ -109,16 +102,6 @@ def test_a_command_belongs_to_the_picture_of_its_number_and_time(tmp_path: Path)
     ]  # fmt: skip
 
 
-def test_by_default_all_of_a_drive_is_used(tmp_path: Path) -> None:
-    indexed = index_of(tmp_path, MIXED, IndexConfig(flip=False, balance=False))
-    counts = indexed.counts["drive"]
-    assert counts.training + counts.validation + counts.gap == counts.frames == len(MIXED)
-    assert counts.not_taken_over == 0
-    for sample in rows_of(indexed, "samples"):
-        row = MIXED[sample["row"]]
-        assert sample["label"] == sample["recorded"] == (row.sent if row.driver in (H, X) else row.wheels)
-
-
 def test_takeovers_are_the_frames_that_an_expert_or_a_human_drove(tmp_path: Path) -> None:
     indexed = index_of(tmp_path, MIXED, TAKEOVERS)
     counts = indexed.counts["drive"]
@@ -131,18 +114,6 @@ def test_takeovers_are_the_frames_that_an_expert_or_a_human_drove(tmp_path: Path
     for number, sample in used.items():
         row = MIXED[number]
         assert sample["label"] == (row.sent if row.driver in (H, X) else row.wheels)
-
-
-def test_a_session_that_is_no_drive_is_not_touched(tmp_path: Path) -> None:
-    steering = [round(0.3 * math.sin(i / 5), 3) for i in range(300)]
-    path = write_log(tmp_path / "session.mcap", steering)
-    both = [build_index([path], tmp_path / name, IndexConfig(drives=name)) for name in ("all", "takeovers")]
-    every, taken = (rows_of(indexed, "samples") for indexed in both)
-    assert every == taken
-    every, taken = (rows_of(indexed, "frames/session") for indexed in both)
-    assert every == taken
-    assert {frame["driver"] for frame in taken} == {""}
-    assert both[1].counts["session"].not_taken_over == 0
 
 
 def test_a_session_and_a_drive_make_one_index(tmp_path: Path) -> None:
@@ -185,16 +156,6 @@ def test_a_short_takeover_is_on_one_side_and_both_sides_have_some(tmp_path: Path
     for seed in range(8):
         sides = split_by_stretch(build_index([path], tmp_path / "index", replace(TAKEOVERS, seed=seed)), rows)
         assert sorted(map(sorted, sides)) == [["train"]] * 4 + [["validation"]]  # a fifth of five
-
-
-def test_chance_never_holds_out_most_of_what_was_taken_over(tmp_path: Path) -> None:
-    path = write_drive(
-        tmp_path / "drive.mcap", driven((P, 330), (X, 200), (P, 300), (X, 30), (P, 100), (H, 20), (P, 100))
-    )
-    for seed in range(6):
-        counts = build_index([path], tmp_path / "index", replace(TAKEOVERS, seed=seed)).counts["drive"]
-        assert counts.training >= 200
-        assert counts.validation >= 20
 
 
 def test_a_long_takeover_is_blocks_like_any_session(tmp_path: Path) -> None:
@@ -245,18 +206,6 @@ def test_a_shifted_label_is_of_the_same_takeover_or_none(tmp_path: Path) -> None
 
 
 # Bad input, and what is said
-
-
-@pytest.mark.parametrize("commanded", [math.nan, -7.0])
-def test_a_command_that_is_no_steering_is_no_label(tmp_path: Path, commanded: float) -> None:
-    rows = driven((P, 50), (X, 50))
-    rows[70] = replace(rows[70], sent=commanded)
-    rows[20] = replace(rows[20], sent=commanded)  # the pilot's: the wheels tell what became of it
-    indexed = index_of(tmp_path, rows, IndexConfig(flip=False, balance=False))
-    frames = rows_of(indexed, "frames/drive")
-    assert [frame["row"] for frame in frames if frame["bin"] == -1] == [70]
-    assert "out_of_range" in frames[70]["flags"]
-    assert indexed.counts["drive"].unusable == 1
 
 
 def test_without_a_takeover_a_person_leaves_no_pictures_and_it_is_said(

@@ -7,10 +7,12 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -20,15 +22,18 @@ from dataset import IndexConfig, build_index
 from dataset.frames import frames_file
 from dataset.frames.frame_flags import FRAME_FLAGS
 from dataset.frames.image_check_cache import check_all_images
+from dataset.index.leaks import find_leaks
+from dataset.parquet_file import read_metadata, write_table
 from dataset.samples import samples_format
 from dataset.samples.samples_writer import FROM_FRAMES
-from driving import road_jpeg, run_code
-from logs import START_NS, STEP_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags
 from recorder.rows.condition import rows_where
-from repository import ROOT
+from tests.helpers.driving import road_jpeg, run_code
+from tests.helpers.logs import START_NS, STEP_NS, not_a_picture, write_log
+from tests.helpers.repository import ROOT
+from web.index.index_view import session_bins_sketch
 
 PAGE = (ROOT / "docs" / "index-format.md").read_text(encoding="utf-8")
 CAMERAS: tuple[Camera, ...] = ("center", "left", "right")
@@ -209,13 +214,26 @@ CHOICES: dict[str, Callable[[dict[str, Any]], bool]] = {
 }
 
 
-def test_every_condition_on_the_page_is_tried() -> None:
-    assert first_column(section("Choosing frames with a condition"), "condition") == list(CHOICES)
-
-
 @pytest.mark.parametrize("condition", CHOICES)
 def test_a_condition_chooses_the_frames_that_the_page_says(condition: str, folder: Path) -> None:
     table = frames_file.read_frames(folder / "index" / "frames" / "lake.parquet")
     chosen = rows_where(table, condition).tolist()
     assert chosen == [CHOICES[condition](row) for row in table.to_pylist()]
     assert any(chosen)
+
+
+@pytest.mark.long
+def test_an_index_is_read_whose_metadata_is_beyond_what_readers_take(tmp_path: Path) -> None:
+    steering = 0.5 * np.sin(np.arange(400) / 9)
+    log = write_log(tmp_path / "a.mcap", steering.tolist(), not_a_picture, cameras=["center"])
+    indexed = build_index([log], tmp_path / "index")
+    samples, sketch = indexed.samples, session_bins_sketch(indexed.path, "a")
+    file = indexed.path / "samples.parquet"
+    metadata = read_metadata(file)
+    assert metadata is not None
+    write_table(file, samples, metadata | {"more": "x" * (101 << 20)})
+    with pytest.raises(OSError, match="size limit"):
+        pq.read_table(file)
+    assert replace(indexed).samples.equals(samples)
+    assert find_leaks(indexed.path) == []
+    assert session_bins_sketch(indexed.path, "a") == sketch

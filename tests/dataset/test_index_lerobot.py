@@ -11,18 +11,18 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import serving_bucket
 from common import UserError
 from dataset import DatasetError, IndexConfig, build_index
 from dataset.cli import main as bc_index
 from dataset.index_export import export_index
-from driving import one_line_in
-from lerobot_logs import jpeg, steering, write_drives
 from recorder import Log
 from recorder.lerobot.export import Exported
 from recorder.log.tags import Tag, add_tags
 from recorder.sources.recording_kinds import import_recording
-from udacity import call
+from tests.helpers.bucket import serving_bucket
+from tests.helpers.driving import one_line_in
+from tests.helpers.lerobot_logs import jpeg, steering, write_drives
+from tests.helpers.udacity import call
 
 START_NS, STEP_NS = 1_720_880_000_000_000_000, 100_000_000
 TIMES_NS = [START_NS + STEP_NS * row for row in range(20)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -15,15 +14,15 @@ from mcap.writer import Writer as McapWriter
 from common.car import Camera
 from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, find_logs
 from dataset.cli import main
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, write_log
-from places import Place
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags, remove_tags
-from recorder.upkeep.edit import merge, trim
+from recorder.upkeep.edit import trim
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.places import Place
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]  # 12 s
 
@@ -110,24 +109,6 @@ def test_a_log_beside_a_part_of_it_is_refused_until_one_is_excluded(tmp_path: Pa
     tag(whole, "exclude", 50, 69)
     indexed = build_index([place(whole), place(part)], tmp_path / "index")
     assert set(indexed.samples["session"].to_pylist()) == {"a", "b"}
-
-
-def test_parts_that_do_not_overlap_are_two_sessions(tmp_path: Path) -> None:
-    whole = write_log(tmp_path / "a.mcap", STEERING)
-    parts = [trim(whole, tmp_path / "b.mcap", (0, 49)).path, trim(whole, tmp_path / "c.mcap", (50, 119)).path]
-    assert len(build_index(parts, tmp_path / "index").frames) == 360
-    with pytest.raises(DatasetError, match="the same picture"):
-        build_index([parts[0], merge(parts, tmp_path / "d.mcap").path], tmp_path / "index")
-
-
-def test_equal_times_and_lengths_alone_are_no_shared_picture(tmp_path: Path) -> None:
-    """All drives of the built-in simulator begin at the same moment."""
-
-    def pictures_of(name: str) -> Callable[[Camera, int], bytes]:
-        return lambda camera, row: f"{name}{row:04d}".encode()
-
-    logs = [write_log(tmp_path / f"{name}.mcap", STEERING, pictures_of(name)) for name in "ab"]
-    assert len(build_index(logs, tmp_path / "index").frames) == 720
 
 
 @pytest.mark.parametrize("layout", [two_kinds, mixed])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import cv2
@@ -11,11 +10,11 @@ import numpy as np
 import pytest
 
 from common.car import Camera
-from dataset import build_index, find_logs, sessions_not_indexed
+from dataset import sessions_not_indexed
 from dataset.cli import main
 from dataset.index.sessions import unfinished_recordings
-from logs import write_log
-from udacity import call
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("cwd")
 
@@ -52,15 +51,6 @@ def test_sessions_that_were_not_chosen_are_told_once(capsys: pytest.CaptureFixtu
     assert sessions_not_indexed("index", "sessions") == []
 
 
-def test_an_index_of_other_logs_is_not_compared_with_the_sessions_here() -> None:
-    log_of("reimer")
-    elsewhere = write_log(Path("elsewhere/sessions/lake.mcap"), STEERING[:60])
-    build_index([elsewhere], Path("elsewhere/index"))
-    assert sessions_not_indexed("elsewhere/index", "sessions") == []
-    write_log(Path("elsewhere/sessions/newer.mcap"), STEERING[:60])
-    assert sessions_not_indexed("elsewhere/index", "elsewhere/sessions") == ["newer"]
-
-
 def test_a_log_that_was_left_out_is_told_again_when_it_has_changed(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake")
     bad = Path("sessions/bad.mcap")
@@ -92,29 +82,6 @@ def test_a_path_that_is_no_log_is_told_by_what_may_be_meant(capsys: pytest.Captu
     assert told in capsys.readouterr().err
 
 
-def test_names_of_sessions_stand_whole_in_80_columns(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    log_of("mountain-sunday")
-    assert call(main, "--label-shift", 0.5) == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[1].split() == [
-        "session",
-        "frames",
-        "training",
-        "validation",
-        "gap",
-        "left",
-        "out",
-        "no",
-        "label",
-        "log",
-    ]
-    assert printed[2].split()[0] == "mountain-sunday"
-    assert printed[2].split()[-1] == "read"
-
-
 def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake", 320, 160)
     assert call(main, "--validation-share", 0) == 0
@@ -125,28 +92,6 @@ def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFi
         assert call(main, "--validation-share", 0) == 0
         said = capsys.readouterr().err
         assert "pictures of different sizes: 320 x 160 px in lake, mountain; 160 x 120 px in tub." in said
-
-
-def test_paths_may_be_text() -> None:
-    log_of("lake")
-    indexed = build_index(["sessions/lake.mcap"], "index")
-    assert (indexed.path, indexed.sessions) == (Path("index"), ["lake"])
-    assert find_logs((), "sessions") == find_logs([Path("sessions/lake.mcap")], "sessions")
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere file names are text")
-def test_the_state_is_remembered_also_where_a_name_is_not_utf_8(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("lake", "caf\udce9"):
-        log_of(name)
-    assert call(main, "lake") == 0
-    assert sessions_not_indexed("index", "sessions") == []
-
-
-def test_the_command_for_an_unfinished_recording_can_be_typed(tmp_path: Path) -> None:
-    part = tmp_path / "my drive.mcap.0a1b2c.part"
-    part.touch()
-    (line,) = unfinished_recordings(tmp_path, [])
-    assert f"`bc-log recover '{part}'`" in line
 
 
 def test_a_finished_recording_whose_name_was_taken_is_not_recovered(tmp_path: Path) -> None:

@@ -9,14 +9,14 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket
 from dataset import IndexConfig, Samples, build_index
 from dataset.cli import main
-from layouts import mixed
-from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tags
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.layouts import mixed
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 SETTINGS = ("--labels", "as-recorded", "--block-s", "1", "--gap-s", "0")
 NOISE = bytes(range(256)) * 16

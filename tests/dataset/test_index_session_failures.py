@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from dataset.cli import main
-from panorama import views, write_drive
-from udacity import call, encode
+from tests.helpers.panorama import views, write_drive
+from tests.helpers.udacity import call, encode
 
 ROWS = 660  # over a minute: of less, no lag is measured when it is written
 

@@ -9,24 +9,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from common.car import CAMERAS
-from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, load, sessions_not_indexed
+from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
-from dataset.frames.frames_table import frames_of, frames_table
-from dataset.index.leaks import find_leaks
-from driving import Process
-from logs import write_log, write_session
-from recorder import Log, LogError, LogWriter, Pictures
-from recorder.bc_pb2 import VehicleState
+from dataset.frames.frames_table import frames_table
+from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
-from recorder.rows.row_quality import States
-from udacity import call, jpeg
+from tests.helpers.driving import Process
+from tests.helpers.logs import write_log, write_session
+from tests.helpers.udacity import call
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(300)]  # 30 s
 KEY = b"bc.index"
@@ -117,14 +112,6 @@ def test_an_index_with_views_of_an_earlier_version_is_refused(tmp_path: Path) ->
     Samples(index).close()
 
 
-def test_the_order_in_which_sessions_are_given_is_no_matter(tmp_path: Path) -> None:
-    logs = [write_session(tmp_path / f"{name}.mcap", STEERING[i:]) for i, name in enumerate("abc")]
-    build_index(logs, tmp_path / "one")
-    build_index(logs[::-1], tmp_path / "two")
-    contents = [(tmp_path / name / "samples.parquet").read_bytes() for name in ("one", "two")]
-    assert contents[0] == contents[1]
-
-
 def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from dataset import build_index;"
@@ -133,23 +120,12 @@ def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> N
     logs = [write_session(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
     lines = [[sys.executable, "-c", code, str(log), str(tmp_path / "index")] for log in logs * 2]
     with contextlib.ExitStack() as processes:
-        running = [processes.enter_context(Process(line, loads_pytorch=True)) for line in lines]
+        running = [processes.enter_context(Process(line)) for line in lines]
         assert [process.join() for process in running] == [0] * 4, [process.stderr for process in running]
     Samples(tmp_path / "index").close()
 
 
 # What lies
-
-
-def test_a_link_in_the_index_is_not_followed(tmp_path: Path) -> None:
-    path = write_session(tmp_path / "a.mcap", STEERING)
-    other = build_index([path], tmp_path / "other").path
-    (tmp_path / "index").mkdir()
-    (tmp_path / "index" / "frames").symlink_to(other)
-    before = sorted(file.name for file in other.rglob("*"))
-    with pytest.raises(DatasetError, match="not a plain folder"):
-        build_index([path], tmp_path / "index")
-    assert sorted(file.name for file in other.rglob("*")) == before
 
 
 def renamed(frames: pa.Table) -> pa.Table:
@@ -181,38 +157,6 @@ def test_frames_that_make_no_sense_are_made_anew(tmp_path: Path, change: Any) ->
     again = build_index([path], tmp_path / "index")
     assert again.read == ["a"]
     assert again.samples.equals(samples)
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"logs": 5},
-        {"logs": {"a": 1}},
-        {"balance": []},
-        {"balance": {"before": [[1]], "after": [[1]]}},
-        {"counts": "x"},
-    ],
-    ids=str,
-)
-def test_samples_metadata_that_lies_costs_no_traceback(tmp_path: Path, changed: dict[str, Any]) -> None:
-    path = write_session(tmp_path / "a.mcap", STEERING)
-    indexed = build_index([path], tmp_path / "index")
-    samples, state = tmp_path / "index" / "samples.parquet", tmp_path / "index" / "state.json"
-    rewrite(samples, **changed)
-    status = samples.stat()
-    state.write_text(
-        json.dumps({**json.loads(state.read_text()), "samples": [status.st_size, status.st_mtime_ns]})
-    )
-    assert isinstance(sessions_not_indexed(tmp_path / "index", tmp_path), list)
-    assert build_index([path], tmp_path / "index").balance.as_dict() == indexed.balance.as_dict()
-
-
-def test_deeply_nested_metadata_costs_no_traceback(tmp_path: Path) -> None:
-    build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index")
-    path = tmp_path / "index" / "samples.parquet"
-    pq.write_table(pq.read_table(path).replace_schema_metadata({KEY: b"[" * 200_000}), path)
-    with pytest.raises(DatasetError, match="damaged"):
-        Samples(tmp_path / "index")
 
 
 # What cannot be
@@ -274,62 +218,3 @@ def test_a_split_without_samples_is_said(cwd: Path, capsys: pytest.CaptureFixtur
 
 
 # The split and shared pictures
-
-
-def test_a_clock_that_is_set_back_opens_no_gap_in_the_gap(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    time_ns = 10**18
-    with LogWriter(path, {}) as writer:
-        for row in range(400):
-            time_ns += -1_000_000 if row % 50 == 49 else 100_000_000
-            writer.picture("center", time_ns, row, f"{row}".encode())
-            writer.vehicle(time_ns, row, VehicleState(steering=0.1, speed_mph=9))
-    indexed = build_index([path], tmp_path / "index", IndexConfig(block_s=3.0))
-    by_split: dict[str, list[int]] = {"train": [], "validation": []}
-    for sample in indexed.samples.to_pylist():
-        by_split[sample["split"]].append(sample["row"])
-    nearest = min(abs(row - held_out) for row in by_split["train"] for held_out in by_split["validation"])
-    assert nearest > 10  # rows, a tenth of a second each
-    assert find_leaks(indexed.path) == []
-
-
-def test_one_shared_picture_among_alike_ones_is_found(tmp_path: Path) -> None:
-    def writing(path: Path, shared: int) -> Path:
-        with LogWriter(path, {}) as writer:
-            for row in range(5):
-                data = b"shared" if row == shared else f"{path.stem}{row:05d}".encode()
-                writer.picture("center", 10**18, row, data)  # equal times, equal lengths
-                writer.vehicle(10**18, row, VehicleState(steering=0.1, speed_mph=9.0))
-        return path
-
-    logs = [writing(tmp_path / "a.mcap", 4), writing(tmp_path / "b.mcap", 0)]
-    with pytest.raises(DatasetError, match=r"the same picture in both \(rows 4 and 0\)"):
-        build_index(logs, tmp_path / "index")
-
-
-def test_a_log_whose_rows_are_not_numbered_is_paired_by_time() -> None:
-    """Comparing each row with each, this would take hours."""
-    count = 100_000
-    zero, time_ns = np.zeros(count, np.int64), np.arange(count) * 100_000_000
-    floats = np.zeros(count)
-    states = States(zero, time_ns, floats, floats, floats, floats)
-    pictures = {camera: Pictures(zero, time_ns, np.arange(count) * 9, zero + 9, zero - 1) for camera in CAMERAS}
-    table = frames_of(states, pictures, "a", IndexConfig())
-    assert len(table) == 3 * count
-    assert table["log_time_ns"].to_pylist()[:6] == [0, 0, 0, 100_000_000, 100_000_000, 100_000_000]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no limit to set there")
-def test_more_sessions_than_files_may_be_open_at_first(tmp_path: Path) -> None:
-    for number in range(40):
-        write_log(tmp_path / f"{number:02d}.mcap", [0.1], lambda camera, row, n=number: jpeg(40 + n))  # type: ignore[misc]
-    build_index(find_logs((), tmp_path), tmp_path / "index")
-    code = (
-        "import resource, sys; resource.setrlimit(resource.RLIMIT_NOFILE, (32, 4096));"
-        "import dataset; loader = dataset.load(sys.argv[1]);"
-        "print(sum(len(batch.steering) for batch in loader.epoch(1)))"
-    )
-    with Process([sys.executable, "-c", code, str(tmp_path / "index")], loads_pytorch=True) as done:
-        assert done.join() == 0, done.stderr
-    with load(tmp_path / "index") as loader:
-        assert done.stdout.strip() == str(len(loader))

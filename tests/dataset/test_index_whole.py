@@ -5,10 +5,8 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
-import signal
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -16,14 +14,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dataset import DatasetError, IndexConfig, build_index, find_logs
+from dataset import DatasetError, build_index, find_logs
 from dataset.cli import main
-from disk import files_of_at_most
-from layouts import Layout, mixed, two_kinds
-from logs import write_log, write_session
 from recorder import Log, LogError
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import write_log, write_session
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(40)]  # 4 s
 
@@ -308,50 +305,6 @@ def test_a_build_that_is_killed_leaves_one_index_and_the_next_one_ends_it(
         assert files_of(killed) == new
 
 
-@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.long)])
-def test_a_build_that_is_stopped_leaves_the_old_index_or_the_new_one(
-    tmp_path: Path, moments: Moments, every: int
-) -> None:
-    logs, before, old, new = changed_sessions(tmp_path)
-    contents = []
-    for number in itertools.count(0, every):
-        index = shutil.copytree(before, tmp_path / f"index{number}")
-        countdown = itertools.count(-number)
-
-        def stop(countdown: Iterator[int] = countdown) -> None:
-            if next(countdown) == 0:
-                signal.raise_signal(signal.SIGINT)
-
-        moments.call_at_each(index, stop)
-        try:
-            build_index(logs, index)
-            is_stopped = False
-        except KeyboardInterrupt:
-            is_stopped = True
-        moments.over()
-        contents.append(files_of(index))
-        assert contents[-1] in (old, new)
-        if not is_stopped:
-            break
-    assert old in contents
-    assert len(contents) * every > 20
-
-
-def test_a_full_disk_names_the_file_and_leaves_the_index(tmp_path: Path) -> None:
-    steering = [0.001 * row for row in range(300)]
-    log = write_log(tmp_path / "a.mcap", steering)
-    index = build_index([log], tmp_path / "index").path
-    old = files_of(index)
-    log_of(tmp_path / "b.mcap")
-    sizes = {name: len(content) for name, content in old.items()}
-    for size, name in ((1000, "frames/a.parquet"), (sizes["samples.parquet"] - 1000, "samples.parquet")):
-        assert size < sizes[name]
-        with files_of_at_most(size), pytest.raises(DatasetError) as raised:
-            build_index([log, tmp_path / "b.mcap"], index, IndexConfig(block_s=5, max_uses=9))
-        assert f"{index / name}: cannot be written (File too large)" in str(raised.value)
-        assert files_of(index) == old
-
-
 def test_a_refused_build_leaves_nothing(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = log_of(cwd / "sessions" / "x.mcap")
     assert call(main, "--validation-share", 0) == 0
@@ -363,16 +316,6 @@ def test_a_refused_build_leaves_nothing(cwd: Path, capsys: pytest.CaptureFixture
     assert call(main, "--validation-share", 0, "--index", "other") == 1
     assert files_of(cwd / "other") == {}
     assert not (cwd / "other" / "frames").exists()
-
-
-def test_frames_that_an_older_version_left_vanish(tmp_path: Path) -> None:
-    log = log_of(tmp_path / "x.mcap")
-    index = build_index([log], tmp_path / "index").path
-    new = files_of(index)
-    shutil.copy(index / "frames" / "x.parquet", index / "frames" / "x.recovered.parquet")
-    (index / "frames" / "x.parquet.0a1b2c.part").write_bytes(b"half")
-    build_index([log], index)
-    assert files_of(index) == new
 
 
 @pytest.mark.parametrize(
@@ -392,34 +335,3 @@ def test_what_cannot_be_is_said_before_anything_is_read(
     assert call(main, "--look", *flags) == (1 if "nobody" in flags else 2)
     assert said in capsys.readouterr().err
     assert not (cwd / "index").exists()
-
-
-def test_nothing_stays_of_an_index_that_was_refused(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log_of(cwd / "sessions" / "a.mcap")
-    (cwd / "sessions" / "bad.mcap").write_bytes(b"no log")
-    (cwd / "mine").mkdir()
-    before = sorted(cwd.rglob("*"))
-    for index in ("index", "far/away/index", "mine"):
-        assert call(main, "a", "bad", "--index", index) == 1  # named, a log that cannot be read is an error
-        assert call(main, "--where", "row < 0", "--index", index) == 1
-    assert "no frame can be used" in capsys.readouterr().err
-    assert sorted(cwd.rglob("*")) == before
-    assert call(main, "a", "--index", "mine", "--validation-share", 0) == 0
-
-
-def test_builds_that_fail_at_once_leave_nothing_and_disturb_nobody(tmp_path: Path) -> None:
-    """Who waits for a lock that is removed must not hold what nobody else does."""
-    log = log_of(tmp_path / "a.mcap")
-    (tmp_path / "bad.mcap").write_bytes(b"no log")
-    index = tmp_path / "index"
-
-    def build(number: int) -> bool:
-        try:
-            build_index([log, tmp_path / "bad.mcap"] if number % 2 else [log], index)
-        except LogError:
-            return False
-        return True
-
-    with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(build, range(16))) == [not number % 2 for number in range(16)]
-    assert sorted(path.name for path in index.iterdir()) == [".lock", "frames", "samples.parquet", "state.json"]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +13,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bucket import Bucket
-from bytes_read import count_bytes, note_reads
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.index.build_state import stat_of
-from dataset.index.not_learnt import not_learnt_in
-from logs import write_log
-from mcap_patch import without_lag
-from panorama import hand, of_size, pressed, views, write_drive
+from dataset.samples.samples_format import not_learnt_in
 from recorder import Log
-from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.logs import write_log
+from tests.helpers.panorama import hand, of_size, pressed, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 650  # of 65 s
 NO_PICTURES = [f"{row}".encode() for row in range(ROWS)]
@@ -124,15 +122,20 @@ def test_the_built_in_expert_is_learnt_as_recorded_without_pictures(
     assert metadata(as_recorded)["balance"] == stored["balance"]
 
 
-def test_the_index_reads_a_hundredth_of_a_log_and_no_picture(
+def test_the_next_index_reads_a_hundredth_of_a_log_and_no_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = write_drive(tmp_path / "a.mcap", of_size(views(ROWS), 15_000), lambda at_s: pressed(at_s - 0.3))
     with Log(log) as opened:
         images = {number for number, channel in opened.channels.items() if channel.topic.startswith("/camera/")}
         pictures = [(chunk.start, chunk.end) for chunk in opened.chunks if (chunk.channels or set()) & images]
+    first = metadata(indexed(tmp_path, log))["labels"]["a"]
+    assert json.loads((tmp_path / "a.lag.json").read_text())["lag"] == first["lag"]
+    shutil.rmtree(tmp_path / "index")
     read = note_reads(monkeypatch)
-    plan = metadata(indexed(tmp_path, log))["labels"]["a"]["plan"]
+    again = metadata(indexed(tmp_path, log))["labels"]["a"]
+    assert again == first
+    plan = again["plan"]
     assert plan["shift_s"] == pytest.approx(0.6, abs=0.051)
     assert 0 < count_bytes(read) < 0.03 * log.stat().st_size
     assert not [part for part in read if any(start < part[1] and part[0] < end for start, end in pictures)]
@@ -140,13 +143,14 @@ def test_the_index_reads_a_hundredth_of_a_log_and_no_picture(
 
 def test_the_index_of_a_bucket_moves_a_hundredth_of_its_logs(bucket: Bucket) -> None:
     new, old = (
-        write_drive(bucket.folder / f"{name}.mcap", of_size(views(ROWS), 15_000), pressed, start_s=start_s)
-        for name, start_s in (("new", 0), ("old", 1000))
+        write_drive(folder / f"{name}.mcap", of_size(views(ROWS), 15_000), pressed, start_s=start_s)
+        for name, folder, start_s in (("new", Path(), 0), ("old", bucket.folder, 1000))
     )
-    size = new.stat().st_size + without_lag(old).stat().st_size
+    assert call(bc_log, "copy", new, bucket.url()) == 0  # with its lag
+    size, before = new.stat().st_size + old.stat().st_size, bucket.bytes_sent
     settings = ("--sessions", bucket.url(), "--index", "index")
     assert call(main, *settings) == 0
-    assert 0 < bucket.bytes_sent < 0.03 * size
+    assert 0 < bucket.bytes_sent - before < 0.03 * size
     assert call(bc_log, "check", bucket.url("old.mcap")) == 0
     before = bucket.bytes_sent
     assert call(main, *settings) == 0  # goes by what is kept in the bucket
@@ -155,36 +159,22 @@ def test_the_index_of_a_bucket_moves_a_hundredth_of_its_logs(bucket: Bucket) -> 
     assert [labels[name]["lag"]["lag_s"] for name in ("new", "old")] == pytest.approx([0, 0], abs=0.051)
 
 
-def test_a_lag_that_is_measured_later_is_gone_by(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "sessions"
-    folder.mkdir()
-    log = without_lag(write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
-    settings = ("--sessions", folder, "--index", tmp_path / "index")
-    assert call(main, *settings) == 0
-    out, said = (" ".join(text.split()) for text in capsys.readouterr())
-    assert "lag not measured" in out
-    assert f"`bc-log check {log}`" in said
-    assert call(bc_log, "check", log) == 0
-    capsys.readouterr()
-    assert call(main, *settings) == 0
-    out, said = (" ".join(text.split()) for text in capsys.readouterr())
-    assert "is 0.4 s late" in out
-    assert "bc-log check" not in said
-
-
 @pytest.mark.parametrize("is_kept_beside", [True, False])
-def test_a_look_at_all_pictures_measures_the_lag(is_kept_beside: bool, tmp_path: Path) -> None:
-    """Where nothing can be written beside the log, the index keeps it."""
+@pytest.mark.parametrize("look", [(), ("--look",)])
+def test_a_late_session_is_named_and_shifted(
+    is_kept_beside: bool, look: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where nothing can be written beside the log, the index keeps the lag."""
     folder = tmp_path / "sessions"
     folder.mkdir()
-    log = without_lag(write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3)))
+    write_drive(folder / "a.mcap", views(ROWS), lambda at_s: pressed(at_s - 0.3))
     if not is_kept_beside:
         (folder / "a.lag.json").mkdir()
-    assert call(main, "--sessions", folder, "--index", tmp_path / "index", "--look") == 0
+    assert call(main, "--sessions", folder, "--index", tmp_path / "index", *look) == 0
+    assert "is 0.4 s late" in " ".join(capsys.readouterr().out.split())
     assert (folder / "a.lag.json").is_file() == is_kept_beside
     stored = json.loads(pq.read_schema(tmp_path / "index" / "samples.parquet").metadata[b"bc.index"])
     assert stored["labels"]["a"]["plan"]["shift_s"] == pytest.approx(0.6, abs=0.051)
-    assert log.stat().st_size
 
 
 def crashing(at_s: np.ndarray) -> np.ndarray:
@@ -269,31 +259,3 @@ def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: p
         assert "keyboard keys 50% 65 x 0.5 s 10.0" in said
         for word in ("mean of 0.5 s", "is 0.4 s late", "+0.30 ±0.05", "too short to tell", "is left right?"):
             assert word in said
-
-
-def test_nothing_comes_out_of_no_steering(tmp_path: Path) -> None:
-    """Of sessions that nobody steered, or in another scale, what is recorded is learnt, or nothing is."""
-    wheels: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "never": np.zeros_like,
-        "constant": lambda at_s: np.full_like(at_s, 0.25),
-        "tiny": lambda at_s: hand(at_s) / 100,
-        "degrees": lambda at_s: 25 * hand(at_s),
-    }
-    logs = [
-        write_drive(tmp_path / f"{name}.mcap", [f"{name} {row}".encode() for row in range(ROWS)], wheel)
-        for name, wheel in wheels.items()
-    ]
-    index = indexed(tmp_path, *logs)
-    label, recorded = label_and_recorded(index)
-    assert label.tolist() == recorded.tolist()
-    kinds = {name: labels["habits"]["kind"] for name, labels in metadata(index)["labels"].items()}
-    assert kinds == {"never": "none", "constant": "constant", "tiny": "other scale", "degrees": "other scale"}
-
-
-def test_a_tagged_crash_stays_out_as_before(tmp_path: Path) -> None:
-    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys, crashing)
-    with Log(log) as opened:
-        add_tags(log, opened.fingerprint, [Tag(300, 320, "exclude")])
-    counts = indexed(tmp_path, log, validation_share=0.0).counts["a"]
-    assert counts.excluded == 21
-    assert 59 < counts.not_driven < 59 + 40

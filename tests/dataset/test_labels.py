@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,11 @@ from dataset import IndexConfig, Indexed, Samples, build_index
 from dataset.cli import main
 from dataset.samples.labels import labels_of
 from dataset.steering_bins import bin_of
-from logs import write_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags
-from udacity import call
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 MS = 1_000_000  # ns
 
@@ -150,14 +150,6 @@ def test_labels_are_those_of_a_slow_and_exact_computation(
     )
 
 
-@given(rows_of_people, smooths, shifts, st.floats(-1, 1))
-def test_constant_steering_stays_to_the_last_bit(
-    rows: list[Row], smooth_s: float, shift_s: float, steering: float
-) -> None:
-    constant = [replace(row, steering=steering) for row in rows]
-    assert {value for value in labels(constant, smooth_s, shift_s) if value is not None} <= {steering}
-
-
 @given(rows_of_people, smooths, shifts)
 def test_a_label_is_never_beyond_the_steering_of_its_stretch(
     rows: list[Row], smooth_s: float, shift_s: float
@@ -166,25 +158,6 @@ def test_a_label_is_never_beyond_the_steering_of_its_stretch(
         if value is not None:
             steering = [rows[i].steering for i in stretch_of(rows, at)]
             assert min(steering) - 1e-15 <= value <= max(steering) + 1e-15
-
-
-@given(rows_of_people, smooths, shifts, st.data())
-def test_what_lies_behind_an_edge_changes_no_label_by_a_single_bit(
-    rows: list[Row], smooth_s: float, shift_s: float, data: st.DataObject
-) -> None:
-    at = data.draw(st.integers(0, len(rows) - 1))
-    stretch = stretch_of(rows, at)
-    changed = [
-        row if i in stretch else replace(row, steering=data.draw(st.floats(-1, 1))) for i, row in enumerate(rows)
-    ]
-    before, after = (labels(drive, smooth_s, shift_s) for drive in (rows, changed))
-    assert [before[i] for i in stretch] == [after[i] for i in stretch]
-
-
-@given(rows_of_people, smooths, shifts)
-def test_a_mirrored_drive_has_the_negative_labels(rows: list[Row], smooth_s: float, shift_s: float) -> None:
-    mirrored = labels([replace(row, steering=-row.steering) for row in rows], smooth_s, shift_s)
-    assert mirrored == [value if value is None else -value for value in labels(rows, smooth_s, shift_s)]
 
 
 def test_a_ramp_is_shifted_exactly_and_smoothing_does_not_bend_it() -> None:
@@ -240,12 +213,6 @@ def test_labels_are_corrected_mirrored_and_binned_after_they_were_treated(tmp_pa
     assert index.balance.before.tolist() == np.bincount(index.samples["bin"].to_numpy(), minlength=15).tolist()
     counts = index.counts["a"]
     assert (counts.frames, counts.training, counts.unlabelled) == (300, 288, 12)
-
-
-def test_blocks_of_one_split_are_one_stretch(tmp_path: Path) -> None:
-    index = indexed(tmp_path, block_s=1.0, label_shift_s=0.1)
-    assert len(set(index.frames["block"].to_pylist())) == 10
-    assert straight(index.samples) == pytest.approx({row: STEERING[row + 1] for row in range(99)})
 
 
 def test_no_label_is_from_the_other_side_of_the_split(tmp_path: Path) -> None:

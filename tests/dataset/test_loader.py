@@ -9,8 +9,6 @@ import itertools
 import json
 import pickle
 import shutil
-import subprocess
-import sys
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -21,25 +19,23 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import torch
 
 from common.car import CAMERAS, Camera
 from dataset import (
     Batch,
     DatasetError,
     IndexConfig,
-    Samples,
     SamplesDataset,
     build_index,
     decode,
     load,
     preprocess,
 )
-from dataset.augment import alter
+from dataset.alterations import alter
 from dataset.preprocessing import Image
-from driving import environment, run_code
-from logs import plain_read, write_log
-from udacity import jpeg
+from tests.helpers.driving import run_code
+from tests.helpers.logs import plain_read, write_log
+from tests.helpers.udacity import jpeg
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
 BATCH = 16
@@ -174,23 +170,6 @@ def test_batches_belong_to_whoever_got_them(index: Path) -> None:
         assert [content(batch) for batch in kept[1:]] == before[1:]
 
 
-def test_a_part_of_a_batch_outlives_it(index: Path) -> None:
-    """Memory is used again, but not while an array or a tensor shows a part of it."""
-    with load(index, batch=BATCH) as loader:
-        parts: list[Any] = []
-        copies = []
-        for number, batch in enumerate(loader.epoch(1)):
-            part = batch.pictures[3:9, ::2]
-            copies.append(part.copy())
-            parts.append(torch.from_numpy(batch.pictures)[3:9, ::2] if number % 2 else part[:])
-        del batch, part
-        for epoch in (2, 3):
-            for _ in loader.epoch(epoch):
-                pass
-        for part, copy in zip(parts, copies, strict=True):
-            assert (np.asarray(part) == copy).all()
-
-
 def test_pictures_at_the_same_place_of_two_logs_are_not_mixed_up(tmp_path: Path) -> None:
     first, second = next(
         pair for pair in itertools.combinations(map(jpeg, range(256)), 2) if len(pair[0]) == len(pair[1])
@@ -245,20 +224,6 @@ def test_one_sample_is_one_batch_and_a_split_without_samples_is_none(tmp_path: P
     dataset.close()
 
 
-@pytest.mark.parametrize("encoded", [True, False], ids=["dictionaries", "strings"])
-def test_words_may_be_stored_as_dictionaries_or_not(own: Path, encoded: bool) -> None:
-    with load(own, batch=BATCH) as loader:
-        expected = [content(batch) for batch in loader.epoch(1)]
-    table = pq.read_table(own / "samples.parquet")
-    for name in ("session", "camera", "split", "alteration"):
-        column = table[name].cast(pa.string())
-        at = table.schema.get_field_index(name)
-        table = table.set_column(at, name, column.dictionary_encode() if encoded else column)
-    pq.write_table(table, own / "samples.parquet", row_group_size=50)  # each with its own dictionary
-    with load(own, batch=BATCH) as loader:
-        assert [content(batch) for batch in loader.epoch(1)] == expected
-
-
 @pytest.mark.parametrize(
     "bad",
     [
@@ -272,12 +237,6 @@ def test_words_may_be_stored_as_dictionaries_or_not(own: Path, encoded: bool) ->
 def test_arguments_that_make_no_sense_are_refused(index: Path, bad: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         load(index, **bad)
-
-
-@pytest.mark.parametrize("start", [-1, 1000])
-def test_a_start_beyond_the_epoch_is_refused(index: Path, start: int) -> None:
-    with load(index) as loader, pytest.raises(ValueError, match=str(start)):
-        loader.epoch(1, start_batch=start)
 
 
 # PyTorch's own DataLoader
@@ -315,25 +274,6 @@ def test_a_dataset_is_pickled_for_a_worker_that_is_spawned(index: Path) -> None:
             assert len(sent) == len(dataset)
             assert (sent[5][0] == expected[0]).all()
             assert sent[5][1] == expected[1]
-
-
-def test_a_dataset_is_a_sequence(index: Path) -> None:
-    dataset = SamplesDataset(index, "validation")
-    items = list(dataset)  # type: ignore[call-overload]
-    assert len(items) == len(dataset) == len(rows_of(index, "validation"))
-    assert (dataset[-1][0] == items[-1][0]).all()
-    for at in (len(dataset), -len(dataset) - 1):
-        with pytest.raises(IndexError):
-            dataset[at]
-    dataset.close()
-
-
-def test_the_room_does_not_load_pytorch() -> None:
-    code = "import sys, dataset; dataset.SamplesDataset; print('torch' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "False"
 
 
 # Logs and indexes that are not what they were
@@ -470,51 +410,7 @@ def test_an_index_that_makes_no_sense_is_refused(own: Path, change: Callable[[pa
     assert "\n" not in str(caught.value)
 
 
-def test_some_columns_of_a_split_are_read(index: Path) -> None:
-    """Also without the column `split`."""
-    with Samples(index) as samples:
-        table = samples.of_split("train", ("label", "camera"))
-    assert table.column_names == ["label", "camera"]
-    assert table["label"].to_pylist() == [row["label"] for row in rows_of(index)]
-
-
-def test_a_cut_or_garbled_index_is_refused_or_read_as_it_was(own: Path) -> None:
-    def read() -> pa.Table:
-        with Samples(own) as samples:
-            return samples.of_split("train")
-
-    path = own / "samples.parquet"
-    data, expected = path.read_bytes(), read()
-    random = np.random.default_rng(5)
-    damaged = [data[:size] for size in random.integers(0, len(data), 10)]
-    end = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # of the rows, which checksums protect
-    for at in random.integers(0, end, 40).tolist():
-        damaged.append(data[:at] + bytes([data[at] ^ int(random.integers(1, 256))]) + data[at + 1 :])
-    said = []
-    for content in damaged:
-        path.write_bytes(content)
-        try:
-            assert read() == expected
-        except DatasetError as error:
-            said.append(str(error))
-    assert len(said) > 30
-    assert all("samples.parquet: damaged" in line and "`bc-index`" in line for line in said)
-    assert not any("\n" in line for line in said)
-
-
 def test_no_index_says_how_to_build_one(tmp_path: Path) -> None:
     for opened in (load, SamplesDataset):
         with pytest.raises(DatasetError, match=r"no index; .*build it with `bc-index"):
             opened(tmp_path)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="a process has all cores there")
-def test_threads_are_as_many_as_the_cores_that_may_be_used() -> None:
-    """A container or taskset allows fewer than the machine has."""
-    code = """
-import os
-os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from dataset.loader.crops import decoding_threads
-print(decoding_threads())
-"""
-    assert run_code(code).stdout == "1\n"

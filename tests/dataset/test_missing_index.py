@@ -9,7 +9,7 @@ import pytest
 
 from dataset.cli import main as bc_index
 from model.cli import main as bc_train
-from udacity import call
+from tests.helpers.udacity import call
 
 
 @pytest.fixture

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from bucket import Bucket
 from drive.copy_cli import main
-from driving import one_line_in
-from faulty_proxy import Passing
-from logs import write_log
 from model import find_run
 from model.runs.run_files import locked_for_training
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, add_tags
-from runs import a_run
-from udacity import call
+from tests.helpers.bucket import Bucket
+from tests.helpers.driving import one_line_in
+from tests.helpers.faulty_proxy import Passing
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.udacity import call
 
 RUN = "s3://logs/runs/night"
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from drive.demo import main as bc_demo
-from driving import COMMANDS, Process, command, environment, one_line_in
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import COMMANDS, Process, command, environment, one_line_in
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 
 
 @pytest.mark.parametrize("flag", ["--epochs=-1", "--laps=nan", "--share=0"])
@@ -67,23 +67,6 @@ def test_the_commands_that_it_ends_with_can_be_typed(installed: Path, tmp_path: 
     [activate] = [text.partition(": ")[2] for text in said if "source " in text]
     play = shlex.split(activate)[1]
     assert Path(play).exists()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="programs of Unix")
-def test_where_its_commands_are_typed_is_said_when_it_is_stopped(installed: Path, tmp_path: Path) -> None:
-    for name, does in {"bc-record": "mkdir -p sessions", "bc-index": "mkdir index; exec sleep 600"}.items():
-        installed.with_name(name).write_text(f"#!/bin/sh\n{does}\n")
-    folder = tmp_path / "demo"
-    with Process([str(installed), *command("bc-demo", "--folder", folder)[1:]]) as process:
-        wait_until((folder / "index").exists)
-        assert process.end() == 130
-        process.wait_for(rf"^bc-demo: the results are in {folder}; to continue, .*`cd {folder}`$")
-
-
-def test_a_folder_that_has_a_project_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "runs").mkdir()
-    assert call(bc_demo, "--folder", tmp_path) == 1
-    assert one_line_in(capsys) == f"bc-demo: {tmp_path}: has runs already; give another --folder"
 
 
 def test_one_that_is_stopped_at_once_leaves_no_folder(tmp_path: Path) -> None:

@@ -15,13 +15,13 @@ from drive.evaluation.closed_loop import DriveResult
 from drive.evaluation.drive_comparison import DriveComparison
 from drive.evaluation.eval_cli import main
 from drive.evaluation.simulator_process import BuiltInSimulator
-from driving import untrained_run
 from recorder import LogWriter
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M
 from simulator.pose import Pose
 from simulator.roads.track import load_track
-from udacity import call
+from tests.helpers.driving import untrained_run
+from tests.helpers.udacity import call
 
 LAKE = load_track("lake")
 STEP_NS = 200_000_000

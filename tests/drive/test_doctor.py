@@ -11,15 +11,15 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from bytes_read import count_bytes, note_reads
 from dataset import IndexConfig, build_index
 from drive.doctor import examine
 from drive.doctor_cli import main
-from driving import run_code, untrained_run
-from histories import epoch_line
-from logs import START_NS, write_log
 from recorder.log_cli import main as log_command
-from udacity import call
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.driving import untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
 
 STEERING = [0.1 * (row % 7 - 3) for row in range(60)]
 
@@ -111,13 +111,6 @@ def test_what_is_perhaps_odd_is_to_be_looked_at() -> None:
 
 
 @pytest.mark.usefixtures("project")
-def test_a_run_with_an_index_of_its_own_needs_no_other() -> None:
-    Path("index").rename("index-first")
-    assert "index: 1 run has its own" in examine().here
-    assert "bc-index" not in commands()
-
-
-@pytest.mark.usefixtures("project")
 @pytest.mark.parametrize("damage", ["log", "index", "config", "metrics", "results"])
 def test_a_bad_file_hides_nothing_else(damage: str, capsys: pytest.CaptureFixture[str]) -> None:
     bad: dict[str, tuple[str, str, str]] = {
@@ -149,13 +142,6 @@ def test_it_reads_ends_of_logs_and_no_picture(monkeypatch: pytest.MonkeyPatch) -
     read = note_reads(monkeypatch)
     assert "sessions: 3 logs" in examine().here[0]
     assert 1000 < count_bytes(read) < 100_000
-
-
-@pytest.mark.usefixtures("project")
-def test_it_needs_no_pytorch() -> None:
-    """Which takes seconds to load."""
-    code = "import sys; from drive.doctor import examine; assert examine().good; assert 'torch' not in sys.modules"
-    assert run_code(code).returncode == 0
 
 
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,27 +29,11 @@ from drive.cli import main as drive_main
 from drive.config import DriveConfig
 from drive.drive_flags import Drive as DriveCommand
 from drive.drive_server import MAX_SIMULATORS, DriveServer
-from driving import (
-    PATIENCE_S,
-    DriveProcess,
-    Process,
-    call_drive,
-    command_after,
-    one_line_in,
-    one_line_of,
-    road_jpeg,
-    run,
-    untrained_run,
-)
-from logs import read_messages
 from model import load_pilot
-from ports import free_ports
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.server.telemetry import MAX_IMAGE_BYTES
 from recorder.upkeep.recover import recover, recovered_name
-from rrd import contents
-from serving import ModernClient, RawClient, fields
 from simulator.protocol.client import (
     ServerCommand,
     SimulatorClient,
@@ -59,8 +43,23 @@ from simulator.protocol.client import (
     WaitTimeoutError,
 )
 from simulator.protocol.replay import replay
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import (
+    PATIENCE_S,
+    DriveProcess,
+    Process,
+    command_after,
+    one_line_in,
+    one_line_of,
+    road_jpeg,
+    run,
+    untrained_run,
+)
+from tests.helpers.logs import read_messages
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import contents
+from tests.helpers.serving import ModernClient, RawClient, fields
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 
 REPLAYED, MODERN, TOGETHER, COMMA, MANUAL = 60, 12, 15, 10, 3
 TOPICS = ("/camera/center", "/vehicle", "/pilot/input", "/pilot/command")
@@ -185,7 +184,7 @@ def drive(pilot_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive:
         bare.close()
 
         with contextlib.redirect_stderr(io.StringIO()) as refused:
-            assert call_drive(pilot_run, "--log", folder / "second.mcap", "--port", port) == 1
+            assert call(drive_main, pilot_run, "--log", folder / "second.mcap", "--port", port) == 1
         (done.second,) = refused.getvalue().splitlines()
 
         assert not log.exists()
@@ -382,12 +381,6 @@ def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> No
 def reason_kind(message: str) -> str:
     """Without what differs from one telemetry to the next."""
     return message.partition(" (")[0]
-
-
-def test_manual_is_answered_by_manual(drive: Drive) -> None:
-    assert drive.manual.count("manual") == MANUAL
-    assert sum(isinstance(answer, SteerCommand) for answer in drive.manual) == MANUAL
-    assert events(drive.log).count("manual: a human drives") == MANUAL  # each stretch
 
 
 def test_a_client_with_decimal_commas_is_understood_and_answered_in_kind(drive: Drive) -> None:
@@ -671,34 +664,6 @@ def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path)
     assert events(log).count("the drive ends: the car is braked to a stand") == 1
 
 
-@pytest.mark.needs("ipv6")
-def test_a_simulator_is_driven_over_ipv6(pilot_run: Path, tmp_path: Path) -> None:
-    answers: list[ServerCommand] = []
-
-    def tell_once(answer: ServerCommand) -> SimulatorTelemetry | None:
-        answers.append(answer)
-        return SimulatorTelemetry(0.0, 0.0, 0.0, road_jpeg(0)) if answer is None else None
-
-    with DriveProcess(pilot_run, tmp_path / "run.mcap", "--host", "::1") as process:
-        port = int(process.wait_for(r"is waiting for a simulator on \[::1\]:(\d+)$")[1])
-        SimulatorClient("::1", port, wait_s=PATIENCE_S, in_flight=1).run(tell_once)
-        assert process.end() == 0
-    assert isinstance(answers[1], SteerCommand)
-
-
-def test_a_simulator_that_comes_and_goes_does_not_fill_the_screen(pilot_run: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    log = tmp_path / "run.mcap"
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
-        for number in range(20):
-            server.connected(str(number))
-            server.telemetry(str(number), fields(0), time.perf_counter()).on_sent(1.0)
-            server.disconnected(str(number), "gone")
-    assert len(said) < 12
-    assert sum("it connects again and again" in line for line in said) == 1
-    assert events(log).count("connected") == 20
-
-
 def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_path: Path) -> None:
     shown: list[str] = []
     with DriveServer(
@@ -793,7 +758,7 @@ def test_a_full_disk_brakes_the_car_and_names_the_file(pilot_run: Path, tmp_path
     # the system refuses a file that grows above this as it refuses one on a full disk
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
     line = command_after([limit], "bc-drive", pilot_run, "--log", tmp_path / "run.mcap", "--port", 0)
-    with Process(line, loads_pytorch=True) as process:
+    with Process(line) as process:
         port = int(process.wait_for(r"is waiting for a simulator on 127\.0\.0\.1:(\d+)")[1])
         with pytest.raises(WaitTimeoutError):
             SimulatorClient(port=port, wait_s=0).run(braked_at_once)

@@ -9,11 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from driving import PATIENT, Process, command, command_after, environment, road_jpeg, untrained_run, with_viewer
-from logs import read_messages
 from simulator.protocol.client import SimulatorClient
 from simulator.protocol.replay import replay
-from waiting import wait_until
+from tests.helpers.driving import (
+    PATIENT,
+    Process,
+    command,
+    command_after,
+    environment,
+    road_jpeg,
+    untrained_run,
+    with_viewer,
+)
+from tests.helpers.logs import read_messages
+from tests.helpers.waiting import wait_until
 
 FRAMES = 20
 # In the place of the real one, which would open a window: it tells how it was called, and stays.
@@ -34,7 +43,7 @@ def pilot_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def display(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes have a display."""
     with_a_display = {**environment(), "DISPLAY": ":77"}
-    monkeypatch.setattr("driving.environment", lambda: with_a_display)
+    monkeypatch.setattr("tests.helpers.driving.environment", lambda: with_a_display)
 
 
 def drive(process: Process) -> None:
@@ -47,7 +56,7 @@ def drive(process: Process) -> None:
 def test_without_a_display_the_command_that_shows_the_drive_is_said(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "a drive.mcap"
     line = command_after(PATIENT, "bc-drive", pilot_run, "--log", log, "--port", 0)
-    with Process(line, loads_pytorch=True) as process:
+    with Process(line) as process:
         said = process.wait_for(r"^bc-drive: watch it with `(.*)`$")[1]
         drive(process)
         program, *arguments = shlex.split(said)
@@ -70,7 +79,7 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
     line = command_after(
         [*PATIENT, with_viewer(STAND_IN)], "bc-drive", pilot_run, "--log", log, "--port", 0, *viewer
     )
-    with Process(line, loads_pytorch=True) as process:
+    with Process(line) as process:
         if not viewer:
             assert process.wait_for(r"^stand-in (\S+) --follow$")[1].startswith(f"{log}.")
         drive(process)
@@ -85,7 +94,7 @@ def test_with_a_display_the_drive_is_shown_unless_that_is_turned_off(
 def test_a_viewer_that_cannot_be_shown_costs_a_line_and_no_answer(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     line = command_after([*PATIENT, with_viewer(FAILING)], "bc-drive", pilot_run, "--log", log, "--port", 0)
-    with Process(line, loads_pytorch=True) as process:
+    with Process(line) as process:
         process.wait_for("^viewer: no graphics$")
         drive(process)
         assert process.end(signal.SIGINT) == 0

@@ -20,12 +20,12 @@ from drive.config import DriveConfig
 from drive.control.driver import Decision, Driver
 from drive.control.speed_controller import max_curve_speed_mph
 from drive.control.telemetry_picture import MAX_PIXELS
-from driving import road_jpeg
 from model import Pilot
 from model.network.small import SmallNetwork
 from recorder.server.world import World
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import STEP_S, CarState, step
+from tests.helpers.driving import road_jpeg
 
 MIDDLE = World(0.0, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, -0.3, 0.7)
 NONSENSE = {"speed": "fast"}
@@ -186,14 +186,6 @@ def test_a_picture_of_another_size_is_driven_on_and_that_is_said_once(
     assert events == [f"pictures of {width}x{height} pixels, not 320x160: used nevertheless"]
 
 
-def test_a_png_is_driven_on_as_it_came(half_right: Pilot) -> None:
-    png = picture(320, 160, ".png")
-    decision = drive(Driver(half_right, DriveConfig()), message(image=base64.b64encode(png).decode()))
-    assert (decision.steering, decision.problem, decision.picture_size) == (0.5, "", (320, 160))
-    assert decision.telemetry is not None
-    assert decision.telemetry.picture == png
-
-
 @pytest.mark.parametrize(
     ("jpeg", "problem"),
     [
@@ -211,18 +203,6 @@ def test_a_picture_that_is_too_large_or_none_is_not_driven_on(half_right: Pilot,
     assert problem in decision.problem
     assert (decision.steering, decision.throttle, decision.telemetry, decision.crop) == (0.0, 0.0, None, None)
     assert decision.speed_mph == 9.0  # what can be read is used
-
-
-def test_a_picture_turned_by_exif_is_driven_turned_with_its_header_size(half_right: Pilot) -> None:
-    tags = (
-        b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
-    )  # orientation: a quarter turn
-    exif = b"Exif\0\0" + tags
-    plain = picture(320, 160)
-    turned = plain[:2] + b"\xff\xe1" + (2 + len(exif)).to_bytes(2, "big") + exif + plain[2:]
-    decision = drive(Driver(half_right, DriveConfig()), message(image=base64.b64encode(turned).decode()))
-    assert decision.events == ("pictures of 160x320 pixels, not 320x160: used nevertheless",)
-    assert decision.picture_size == (320, 160)
 
 
 def test_commas_are_answered_in_kind_also_after_nonsense(half_right: Pilot) -> None:
@@ -279,16 +259,6 @@ def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_ri
     assert [event for _, event in said] == [f"the simulator's world is not used whole: {text}"]
     assert 1.0 <= said[0][0] / 20 <= 1.1
     assert decisions[-1].steering - decisions[-21].steering == pytest.approx(0.1)
-
-
-def test_a_pause_and_equal_telemetries_are_no_standing_clock(half_right: Pilot) -> None:
-    driver = Driver(half_right, DriveConfig())
-    times_s, now_s = (
-        [0.0, 0.0, 0.1, 0.1, 0.1, 0.2, 0.2, 0.0, 0.1],
-        [0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 602.0, 602.4, 603],
-    )
-    for time_s, now in zip(times_s, now_s, strict=True):
-        assert drive(driver, message(world=replace(MIDDLE, time_s=time_s)), now).events == ()
 
 
 def test_good_telemetry_in_between_is_driven_and_begins_the_second_again(half_right: Pilot) -> None:
@@ -491,10 +461,6 @@ def sent(pilot: Pilot, config: DriveConfig, rate_hz: float, seconds: float) -> l
     return [drive(driver, message(), 100 + k / rate_hz).steering for k in range(round(seconds * rate_hz) + 1)]
 
 
-def test_by_default_nothing_is_smoothed(half_right: Pilot) -> None:
-    assert sent(half_right, DriveConfig(), 10, 0.3) == [0.5] * 4
-
-
 @pytest.mark.parametrize("rate_hz", [5, 25])
 def test_smoothing_depends_on_time_and_not_on_the_telemetries(half_right: Pilot, rate_hz: float) -> None:
     steering = sent(half_right, DriveConfig(smooth_s=0.4), rate_hz, 1.2)
@@ -596,11 +562,3 @@ def test_without_takeover_the_expert_never_drives_but_is_logged(half_right: Pilo
         ("off the road, or stuck: the simulator put the car back",),
         ("lap 1",),
     ]
-
-
-def test_the_course_is_told_also_where_the_picture_is_none(half_right: Pilot) -> None:
-    driver = Driver(half_right, DriveConfig())
-    drive(driver, message(world=MIDDLE))
-    decision = drive(driver, message(world=replace(MIDDLE, laps=1.0), image="AAAA"))
-    assert decision.problem
-    assert decision.events == ("lap 1",)

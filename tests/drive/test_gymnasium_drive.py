@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from disk import files_of_at_most
 from drive.cli import main as bc_drive
-from driving import one_line_in, untrained_run
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.reader import Log
-from repository import ROOT
-from toy_environment import STEPS, bar, with_bars
-from udacity import call
+from tests.helpers.driving import one_line_in, untrained_run
+from tests.helpers.repository import ROOT
+from tests.helpers.toy_environment import STEPS, bar, with_bars
+from tests.helpers.udacity import call
 
 UNSEEN = ("--viewer", "off")
 SPEED = {"speed": "2.237*speed"}
@@ -51,7 +50,7 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
     with Log("d.mcap") as log:
         driven = log.vehicle()["steering"].to_pylist()
         episodes = json.loads(log.read_metadata("bc.gymnasium")["episodes"])
-        assert log.metadata["simulator"] == "toy_environment:toy/Bar-v0"
+        assert log.metadata["simulator"] == "tests.helpers.toy_environment:toy/Bar-v0"
         events = Counter(event.message for _, event in log.decoded("/events"))
     assert len(sent) == 2 * STEPS
     assert events["pictures of 64x48 pixels, not 320x160: used nevertheless"] == 1
@@ -65,24 +64,8 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
     ]
 
 
-def test_the_same_drive_twice_is_the_same() -> None:
-    for name in ("one", "two"):
-        assert call(bc_drive, "first", *bar(**SPEED, args=SHORT), *UNSEEN, "--log", f"{name}.mcap") == 0
-    first, second = (commands(f"{name}.mcap") for name in ("one", "two"))
-    assert [command.steering for command in first] == [command.steering for command in second]
-
-
-def test_a_full_disk_ends_the_drive_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    line = [*bar(**SPEED), *UNSEEN, "--episodes", 40, "--log", "d.mcap"]
-    with files_of_at_most(60_000):
-        assert call(bc_drive, "first", *line) == 1
-    shown = capsys.readouterr()
-    assert "cannot be written any further (File too large)" in shown.err
-    assert shown.out.count("seed") < 40
-
-
 def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
-    line = [*bar(args=SHORT), *UNSEEN, "--expert", "toy_environment:centre", "--log", "d.mcap"]
+    line = [*bar(args=SHORT), *UNSEEN, "--expert", "tests.helpers.toy_environment:centre", "--log", "d.mcap"]
     assert call(bc_drive, "first", *line) == 0
     sent = commands("d.mcap")
     assert {command.throttle for command in sent} == {0.25}

@@ -14,15 +14,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from dataset import IndexConfig, build_index
-from driving import Process, call_drive, command, one_line_in, road_jpeg
-from logs import write_log
+from drive.cli import main as drive_main
 from model import TrainConfig, train
 from model.cli import main
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.session_car import Car, stored_car
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
-from udacity import call
+from tests.helpers.driving import Process, command, one_line_in, road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
 DRIVE = Path("takeovers.mcap")
@@ -73,7 +74,7 @@ def learnt_from() -> dict[str, list[dict[str, float]]]:
 @pytest.mark.usefixtures("project")
 def test_the_next_run_learns_from_the_session_and_the_takeovers_alone(capsys: pytest.CaptureFixture[str]) -> None:
     where = ("--simulator", "random:3", "--laps", 0.04, "--speed", 20, "--viewer", "off")
-    assert call_drive("first", *where, "--takeover", "--log", DRIVE) == 0
+    assert call(drive_main, "first", *where, "--takeover", "--log", DRIVE) == 0
     assert f"bc-train --init first --takeovers {DRIVE}" in capsys.readouterr().err
     driven = commands()
     expert = [command for command in driven if command.driver == PilotCommand.EXPERT]

@@ -13,14 +13,11 @@ from typing import Any
 import pytest
 
 from common import UserError
-from disk import files_of_at_most
 from drive.at_wheel import AtWheel
 from drive.config import DriveConfig
 from drive.control.takeover import NOBODY, NOBODY_BRAKED, PILOT_DRIVES
 from drive.drive_flags import with_default_driver
 from drive.drive_server import DriveServer
-from driving import road_jpeg, untrained_run
-from logs import read_messages
 from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
@@ -28,8 +25,11 @@ from recorder.log.tags import Tag, read_tags
 from recorder.rows.devices import DEVICES
 from recorder.server.telemetry_server import Steer
 from recorder.teleop.wheel import Wheel
-from waiting import wait_until
-from wheel_page import WheelPage
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import read_messages
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_page import WheelPage
 
 PERSON = 0.625  # what no network here answers
 
@@ -108,12 +108,6 @@ def test_no_answer_of_the_network_is_sent_after_a_takeover(supervised: Supervise
         of_the_network += sum(supervised.drive().steering != PERSON for _ in range(3))
         supervised.hand_back()
     assert of_the_network == 0
-
-
-def test_a_person_who_only_watches_changes_nothing(supervised: Supervised) -> None:
-    networks = supervised.drive()
-    supervised.steer(touching=False)
-    assert supervised.drive().steering == networks.steering
 
 
 def test_letting_go_of_the_keys_is_not_handing_back(supervised: Supervised) -> None:

@@ -11,10 +11,10 @@ import pytest
 
 from common.car import CAMERAS, Camera
 from dataset import IndexConfig, build_index
-from driving import PATIENCE_S, DriveProcess, Process, command, road_jpeg, untrained_run
-from logs import read_messages
 from recorder.upkeep.check import check
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from tests.helpers.driving import PATIENCE_S, DriveProcess, Process, command, road_jpeg, untrained_run
+from tests.helpers.logs import read_messages
 
 ROWS, CUT_OFF = 30, 7
 FIRST: dict[Camera, int] = {"center": 0, "left": 1000, "right": 2000}  # pictures differ

@@ -12,12 +12,12 @@ from drive.config import DriveConfig
 from drive.drive_server import DriveServer
 from drive.drive_session import FORGET_S, DriveSession
 from drive.log.summary_lines import summary_lines
-from driving import untrained_run
-from logs import read_messages
 from model import load_pilot
 from recorder import Log
 from recorder.topics import DRIVE_METADATA
-from serving import fields
+from tests.helpers.driving import untrained_run
+from tests.helpers.logs import read_messages
+from tests.helpers.serving import fields
 
 TICK_S = 0.125
 

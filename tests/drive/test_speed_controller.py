@@ -93,18 +93,6 @@ def test_a_car_that_was_put_back_at_rest_is_not_taken_for_one_on_a_slope() -> No
     assert controller.follow(4.0, 0.0, 5.0) == pytest.approx(fresh.follow(0.0, 0.0, 5.0), abs=0.01)
 
 
-NUMBERS = st.floats(-1e300, 1e300)
-
-
-@given(st.lists(st.tuples(st.floats(0, 1e12), NUMBERS, NUMBERS), min_size=1, max_size=30))
-def test_the_throttle_stays_within_its_bounds(telemetries: list[tuple[float, float, float]]) -> None:
-    controller = SpeedController(10.0)
-    for time_s, speed_mph, target_mph in telemetries:
-        throttle = controller.follow(time_s, speed_mph, target_mph)
-        assert -1 <= throttle <= 1
-        assert throttle >= 0 or speed_mph > 1.0
-
-
 def test_the_speed_that_is_told_is_the_lowest_of_those_wanted() -> None:
     assert SpeedController(20).set_speed_for(0.5) == 20
     assert SpeedController(20).set_speed_for(0.5, 15.0) == 15
@@ -125,14 +113,6 @@ def test_what_a_bend_takes_off_is_not_missing_on_the_straight_behind_it() -> Non
     assert slowed.throttle(19.0) == plain.throttle(19.0)
 
 
-def test_the_first_throttles_are_those_of_the_formula() -> None:
-    """0.1 a mph too slow, and 0.002 a mph summed over the telemetries so far, this one included."""
-    controller = SpeedController(9.0)
-    assert controller.throttle(4.0) == pytest.approx(0.1 * 5 + 0.002 * 5)
-    assert controller.throttle(6.0) == pytest.approx(0.1 * 3 + 0.002 * (5 + 3))
-    assert controller.throttle(10.0) == pytest.approx(0.1 * -1 + 0.002 * (5 + 3 - 1))
-
-
 @pytest.mark.parametrize("telemetries", [1_000, 10_000])
 def test_a_long_climb_does_not_wind_up_a_throttle_that_outlasts_it(telemetries: int) -> None:
     controller = SpeedController(10.0)
@@ -144,13 +124,6 @@ def test_a_long_climb_does_not_wind_up_a_throttle_that_outlasts_it(telemetries: 
     assert after[0] <= 0.5 - 0.3
     assert after == sorted(after, reverse=True)
     assert next(i for i, throttle in enumerate(after) if throttle < 0) <= math.ceil(0.2 / 0.006)
-
-
-def test_a_long_descent_does_not_wind_up_a_brake() -> None:
-    controller = SpeedController(10.0)
-    for _ in range(10_000):
-        controller.throttle(30.0)
-    assert next(i for i in range(200) if controller.throttle(7.0) > 0) <= math.ceil(0.2 / 0.006)
 
 
 @given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=50), st.floats(0, 100))

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from drive.at_wheel import PUT_BACK
-from driving import Process, command, untrained_run
 from recorder import Log
 from recorder.teleop.open_wheels import open_wheels
 from recorder.topics import DRIVE_METADATA
-from waiting import wait_until
-from wheel_page import Shown, WheelPage
+from tests.helpers.driving import Process, command, untrained_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_page import Shown, WheelPage
 
 WAITS = "the drive begins when you open the page"
 

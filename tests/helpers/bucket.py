@@ -12,10 +12,10 @@ import pytest
 
 from common import object_store, store_connection
 from common.location import Url
-from faulty_proxy import Answer as Answer
-from faulty_proxy import FaultyProxy, serving
-from places import KEYS, Handler
 from recorder.upkeep import copy_log
+from tests.helpers.faulty_proxy import Answer as Answer
+from tests.helpers.faulty_proxy import FaultyProxy, serving
+from tests.helpers.places import KEYS, Handler
 
 
 class Bucket(FaultyProxy):

@@ -7,8 +7,8 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from needs import CHROMIUM, require
-from waiting import PATIENCE_S
+from tests.helpers.needs import CHROMIUM, require
+from tests.helpers.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -8,9 +8,9 @@ from typing import Any
 
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from logs import START_NS, STEP_NS
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.writer import LogWriter
+from tests.helpers.logs import START_NS, STEP_NS
 
 EXPERT: dict[int, dict[str, Any]] = {row: {"expert_steering": 0.1 - 0.2 * (row - 5)} for row in range(5, 10)}
 """From the sixth row on, an expert is there, who would steer 0, 5, 10, 15 and 20 degrees more to the left."""

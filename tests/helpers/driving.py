@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
+import importlib
+import io
 import os
 import re
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
@@ -21,30 +23,29 @@ import pytest
 import torch
 
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
-from drive.cli import main as drive_main
-from forked import Forked, ForkServer
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
-from repository import ROOT
-from udacity import call, encode
-from waiting import PATIENCE_S as PATIENCE_S
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call, encode
+from tests.helpers.waiting import PATIENCE_S as PATIENCE_S
 
-COMMANDS = (
-    "bc-record",
-    "bc-import",
-    "bc-log",
-    "bc-copy",
-    "bc-index",
-    "bc-train",
-    "bc-runs",
-    "bc-drive",
-    "bc-play",
-    "bc-sim",
-    "bc-eval",
-    "bc-demo",
-    "bc-doctor",
-    "bc-web",
-)
+COMMANDS: Final = {
+    "bc-record": "recorder.cli",
+    "bc-import": "recorder.import_cli",
+    "bc-log": "recorder.log_cli",
+    "bc-copy": "drive.copy_cli",
+    "bc-index": "dataset.cli",
+    "bc-train": "model.cli",
+    "bc-runs": "model.runs_cli",
+    "bc-drive": "drive.cli",
+    "bc-play": "viz.cli",
+    "bc-sim": "simulator.cli",
+    "bc-eval": "drive.evaluation.eval_cli",
+    "bc-demo": "drive.demo",
+    "bc-doctor": "drive.doctor_cli",
+    "bc-web": "web.cli",
+}
+"""The module of each command's `main`."""
 
 
 def command(name: str, *arguments: object) -> list[str]:
@@ -79,50 +80,25 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1", "COLUMNS": "400", "NO_COLOR": "1"}
 
 
-SERVER: Final = ForkServer(environment())
-_FORKED = [command(name) for name in COMMANDS]
-
-
-def started(
-    line: Sequence[str], cwd: Path | None = None, *, loads_pytorch: bool = False
-) -> Forked | subprocess.Popen[str]:
-    """A program with pipes for its output; our commands, and `python -c` of what `loads_pytorch`, are forked where
-    that is like a start."""
-    if (loads_pytorch or any(line[:3] == known for known in _FORKED)) and SERVER.can_start(environment()):
-        return SERVER.start(line[2], line[3:], cwd, environment())
-    pipe = subprocess.PIPE
-    return subprocess.Popen(line, cwd=cwd, env=environment(), stdout=pipe, stderr=pipe, text=True)
-
-
-def started_to(
-    stdout: int,
-    stderr: int,
-    line: Sequence[str],
-    cwd: Path | None = None,
-    variables: Mapping[str, str] | None = None,
-    *,
-    loads_pytorch: bool = False,
-) -> Forked | subprocess.Popen[bytes]:
-    """The same of one of our commands, with these open files for its output; its environment, if it is another."""
-    found = environment() if variables is None else variables
-    if (loads_pytorch or any(line[:3] == known for known in _FORKED)) and SERVER.can_start(found):
-        return SERVER.start_to(stdout, stderr, line[2], line[3:], cwd, found)
-    return subprocess.Popen(line, cwd=cwd, env=found, stdout=stdout, stderr=stderr)
-
-
 def run(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
-    line = command(name, *arguments)
-    process = started(line, cwd)
-    assert process.stdout is not None
-    assert process.stderr is not None
-    with process.stdout, process.stderr, ThreadPoolExecutor() as threads:
-        said = [threads.submit(stream.read) for stream in (process.stdout, process.stderr)]
-        try:
-            code = process.wait(PATIENCE_S)
-        finally:
-            process.kill()
-        return subprocess.CompletedProcess(line, code, *(text.result() for text in said))
+    """Run a command in this process; its exit code and output."""
+    main = importlib.import_module(COMMANDS[name]).main
+    stdout, stderr = (io.TextIOWrapper(io.BytesIO(), "utf-8", newline="", write_through=True) for _ in range(2))
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(stdout), redirect_stderr(stderr):
+        patch.setenv("COLUMNS", "400")
+        patch.setenv("NO_COLOR", "1")
+        if cwd is not None:
+            patch.chdir(cwd)
+        code = call(main, *arguments)
+    texts = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
+    return subprocess.CompletedProcess([name, *map(str, arguments)], code, *texts)
+
+
+def run_alone(name: str, *arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process of its own, for what a process has only once, such as a connection to Ray."""
+    return subprocess.run(
+        command(name, *arguments), cwd=cwd, env=environment(), capture_output=True, text=True, check=False
+    )
 
 
 def run_code(code: str, *flags: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -131,16 +107,6 @@ def run_code(code: str, *flags: str, cwd: Path | None = None) -> subprocess.Comp
     return subprocess.run(
         line, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
-
-
-def call_drive(*arguments: object) -> int:
-    """Run `bc-drive` in this process, whose settings are as before then; its exit code."""
-    switch_s, threads = sys.getswitchinterval(), torch.get_num_threads()
-    try:
-        return call(drive_main, *arguments)
-    finally:
-        sys.setswitchinterval(switch_s)
-        torch.set_num_threads(threads)
 
 
 def one_line_of(done: subprocess.CompletedProcess[str]) -> str:
@@ -197,8 +163,9 @@ def untrained_run(
 class Process:
     """A command that runs on; its stderr is read as it comes. It is killed with the context, if it still runs."""
 
-    def __init__(self, line: Sequence[str], cwd: Path | None = None, *, loads_pytorch: bool = False) -> None:
-        self.popen = started(line, cwd, loads_pytorch=loads_pytorch)
+    def __init__(self, line: Sequence[str], cwd: Path | None = None) -> None:
+        pipe = subprocess.PIPE
+        self.popen = subprocess.Popen(line, cwd=cwd, env=environment(), stdout=pipe, stderr=pipe, text=True)
         self.stderr: list[str] = []
         self.stdout = ""
         self._said = threading.Condition()
@@ -270,7 +237,7 @@ class DriveProcess(Process):
         hidden = () if "--viewer" in flags else ("--viewer", "off")
         arguments = (run_folder, "--log", log, "--port", 0, *hidden, *flags)
         before = [*(() if minds_silence else PATIENT), *([with_viewer(viewer)] if viewer else [])]
-        super().__init__(command_after(before, "bc-drive", *arguments), loads_pytorch=True)
+        super().__init__(command_after(before, "bc-drive", *arguments))
 
     def wait_until_it_listens(self) -> int:
         """Its port."""

@@ -23,10 +23,10 @@ from typing import Final
 import pytest
 
 from common.store_connection import forget_stores
-from faulty_proxy import FaultyProxy, serving
-from needs import AZURITE, require
-from places import Handler
-from ports import free_ports
+from tests.helpers.faulty_proxy import FaultyProxy, serving
+from tests.helpers.needs import AZURITE, require
+from tests.helpers.places import Handler
+from tests.helpers.ports import free_ports
 
 # of every Azurite: https://github.com/Azure/Azurite#default-storage-account
 ACCOUNT: Final = "devstoreaccount1"

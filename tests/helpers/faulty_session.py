@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from common.car import Camera
-from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
+from tests.helpers.logs import START_NS
 
 ROWS = 600
 STUCK = (100, 149)  # the very same steering for five seconds of driving

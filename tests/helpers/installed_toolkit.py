@@ -8,7 +8,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from waiting import PATIENCE_S
+from tests.helpers.waiting import PATIENCE_S
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Writes small files of this version into tests/data/VERSION, to be kept: later versions must read them.
 
-    python tests/helpers/kept_files.py
+    python -m tests.helpers.kept_files
 
 Once for each release, before it is tagged (CONTRIBUTING.md).
 """
@@ -19,8 +19,8 @@ from common.versions import VERSION
 from dataset import Samples, decode
 from model import load_pilot, train
 from recorder import Log
-from repository import ROOT
-from toy import SMALL, toy_index
+from tests.helpers.repository import ROOT
+from tests.helpers.toy import SMALL, toy_index
 
 DATA = ROOT / "tests" / "data"
 ROWS = range(0, 40, 4)  # of which pictures and answers are kept

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.writer import CompressionType
 
-from plain_mcap import CopiedTopics, plain_writer
+from tests.helpers.plain_mcap import CopiedTopics, plain_writer
 
 CHUNK_BYTES = 256 * 1024
 Found = tuple[Schema | None, Channel, Message]

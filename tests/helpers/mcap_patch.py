@@ -14,7 +14,6 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, ChunkIndex, McapRecord, Statistics
 
 MAGIC = b"\x89MCAP0\r\n"
-_LAG_KEY = b"\x03\0\0\0lag"
 HEAD = struct.Struct("<BQ")
 
 
@@ -77,14 +76,6 @@ def patched(
     end += HEAD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", len(body), 0)
     path.write_bytes(body + end + struct.pack("<I", zlib.crc32(end)) + MAGIC)
     return path
-
-
-def without_lag(path: Path) -> Path:
-    """Gives a log the form of earlier versions, whose writers did not measure the steering's lag."""
-    data = path.read_bytes()
-    assert data.count(_LAG_KEY) == 1
-    path.write_bytes(data.replace(_LAG_KEY, b"\x03\0\0\0old"))
-    return patched(path)
 
 
 def nested(name: str, content: bytes, depth: int) -> bytes:

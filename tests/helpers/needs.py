@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import pytest
 
-from repository import HELPERS, ROOT
+from tests.helpers.repository import HELPERS, ROOT
 
 RECORDINGS: Final = Path(os.environ.get("BC_RECORDINGS", ROOT.parent / "shared" / "recordings"))
 CHROMIUM: Final = next(

@@ -15,9 +15,9 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from imports import topics
-from plain_mcap import plain_writer
-from udacity import jpeg
+from tests.helpers.imports import topics
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.udacity import jpeg
 
 S = 1_000_000_000
 START_NS = 1_720_880_000 * S

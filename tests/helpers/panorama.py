@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from simulator.pose import Pose
+from tests.helpers.logs import START_NS
 
 RATE_HZ = 10.0
 Seconds = NDArray[np.float64]

@@ -9,7 +9,7 @@ from pathlib import Path
 import localbucket
 
 from common.location import Location, Url
-from faulty_proxy import serving
+from tests.helpers.faulty_proxy import serving
 
 Place = Callable[[Path], Location]
 """How a command is told of a file that the test has written: by its path, or by its URL."""

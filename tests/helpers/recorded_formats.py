@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from lerobot_folders import write_dataset
-from other_logs import CAMERA, WHEEL, angle, image, write_mcap
 from recorder.sources.settings import ImportSettings
-from tubs import FIRST_MS, name_2, record_2, write_tub_2
+from tests.helpers.lerobot_folders import write_dataset
+from tests.helpers.other_logs import CAMERA, WHEEL, angle, image, write_mcap
+from tests.helpers.tubs import FIRST_MS, name_2, record_2, write_tub_2
 
 Row = tuple[float, float, bytes]  # seconds, steering, picture
 Made = tuple[Path, ImportSettings]

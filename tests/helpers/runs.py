@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from driving import untrained_run
-from histories import epoch_line, step_lines, write_lines
+from tests.helpers.driving import untrained_run
+from tests.helpers.histories import epoch_line, step_lines, write_lines
 
 
 def a_run(runs: Path, name: str, rmse_deg: float = 2.0, **training: Any) -> Path:

@@ -20,10 +20,10 @@ import numpy as np
 import socketio
 import websocket
 
-from driving import PATIENCE_S, road_jpeg
 from recorder.server.telemetry import MAX_IMAGE_BYTES, TelemetryError, parse_telemetry
 from recorder.server.telemetry_server import Answer, Steer, TelemetryServer
 from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from tests.helpers.driving import PATIENCE_S, road_jpeg
 
 UNUSED = Steer(0.0, -1.0)
 """What a telemetry is answered by that cannot be used."""

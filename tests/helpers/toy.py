@@ -10,9 +10,9 @@ import numpy as np
 
 from common.car import Camera
 from dataset import IndexConfig, build_index
-from logs import write_log
 from model import TrainConfig
-from udacity import encode
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import encode
 
 TINY = replace(
     TrainConfig.of("original"),

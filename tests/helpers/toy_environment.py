@@ -1,6 +1,6 @@
 """A Gymnasium environment of nothing but a bar, which steering moves; and its experts, good and bad.
 
-`bc-record gym toy_environment:toy/Bar-v0 --expert toy_environment:centre`
+`bc-record gym tests.helpers.toy_environment:toy/Bar-v0 --expert tests.helpers.toy_environment:centre`
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def bar(**settings: Any) -> list[str]:
 
 def bar_file(**settings: Any) -> str:
     """The bar's file of settings, which is written to the working folder."""
-    settings = {"id": "toy_environment:toy/Bar-v0", "action": "steering,throttle", **settings}
+    settings = {"id": "tests.helpers.toy_environment:toy/Bar-v0", "action": "steering,throttle", **settings}
     args = settings.pop("args", {})
     lines = [f"{name} = {json.dumps(value)}" for name, value in settings.items()]
     if isinstance(args, dict):

@@ -70,12 +70,13 @@ def make_recording(
 
 def call(main: Callable[[], None], *arguments: object) -> int:
     """Run a command's `main` with this command line; its exit code."""
-    before = sys.argv
+    before, switch_s = sys.argv, sys.getswitchinterval()
     sys.argv = ["command", *map(str, arguments)]
     try:
         with pytest.raises(SystemExit) as end:
             main()
     finally:
         sys.argv = before
+        sys.setswitchinterval(switch_s)  # bc-drive sets it
     assert isinstance(end.value.code, int)
     return end.value.code

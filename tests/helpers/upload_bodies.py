@@ -7,7 +7,7 @@ import json
 import zipfile
 from collections.abc import Mapping, Sequence
 
-from workbench import Answer, Served
+from tests.helpers.workbench import Answer, Served
 
 Content = Mapping[str, bytes]
 

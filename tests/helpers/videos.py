@@ -16,8 +16,20 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import get_types_from_msg
 
-from imports import topics
-from other_logs import START_NS, STORE, TWIST_TYPE, VIDEO, WHEEL, S, Told, angle, header, twist, write_mcap
+from tests.helpers.imports import topics
+from tests.helpers.other_logs import (
+    START_NS,
+    STORE,
+    TWIST_TYPE,
+    VIDEO,
+    WHEEL,
+    S,
+    Told,
+    angle,
+    header,
+    twist,
+    write_mcap,
+)
 
 GOP = 10  # frames from one key frame to the next
 FRAME_S = 0.05

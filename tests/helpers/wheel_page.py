@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from recorder.teleop.open_wheels import OpenWheel, open_wheels
-from waiting import PATIENCE_S
+from tests.helpers.waiting import PATIENCE_S
 
 
 @dataclass(frozen=True)

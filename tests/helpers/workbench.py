@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
-from driving import PATIENCE_S, Process
-from pages import TOKEN
-from waiting import wait_until
+from tests.helpers.driving import PATIENCE_S, Process
+from tests.helpers.pages import TOKEN
+from tests.helpers.waiting import wait_until
 from web.app import workbench_app
 from web.folders.project_folders import ProjectFolders
 from web.server.workbench_server import WorkbenchServer

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from installed_toolkit import Toolkit
-from needs import INSTALLED
-from repository import ROOT
+from tests.helpers.installed_toolkit import Toolkit
+from tests.helpers.needs import INSTALLED
+from tests.helpers.repository import ROOT
 
 
 @pytest.fixture(scope="session")

@@ -9,12 +9,12 @@ from typing import Final
 import pytest
 
 import run_examples
-from installed_toolkit import Toolkit
-from lerobot_logs import write_drives
-from other_logs import CAMERA, WHEEL, angle, image, write_mcap
-from repository import ROOT
-from tubs import record_2, write_tub_2
-from udacity import jpeg
+from tests.helpers.installed_toolkit import Toolkit
+from tests.helpers.lerobot_logs import write_drives
+from tests.helpers.other_logs import CAMERA, WHEEL, angle, image, write_mcap
+from tests.helpers.repository import ROOT
+from tests.helpers.tubs import record_2, write_tub_2
+from tests.helpers.udacity import jpeg
 
 PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 

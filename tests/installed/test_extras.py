@@ -9,9 +9,9 @@ from typing import Final
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 
-from installed_toolkit import Toolkit, names_the_extra
-from other_logs import CAMERA, write_bag
-from repository import ROOT
+from tests.helpers.installed_toolkit import Toolkit, names_the_extra
+from tests.helpers.other_logs import CAMERA, write_bag
+from tests.helpers.repository import ROOT
 
 PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 

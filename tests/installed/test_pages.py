@@ -13,15 +13,15 @@ from urllib.parse import parse_qs, urljoin, urlsplit
 import pytest
 from starlette.routing import Match, Route, WebSocketRoute
 
-from installed_toolkit import Toolkit
-from ports import free_ports
-from upload_bodies import upload_body
-from waiting import PATIENCE_S, wait_until
+from tests.helpers.installed_toolkit import Toolkit
+from tests.helpers.ports import free_ports
+from tests.helpers.upload_bodies import upload_body
+from tests.helpers.waiting import PATIENCE_S, wait_until
+from tests.helpers.wheel_page import WheelPage
+from tests.helpers.workbench import Answer, Served
 from web.app import routes_of
 from web.folders.project_folders import ProjectFolders
 from web.pages.workbench import Workbench
-from wheel_page import WheelPage
-from workbench import Answer, Served
 
 LINK: Final = re.compile(r'(?:href|src|hx-get)="(/[^"#]*)"')
 

@@ -11,15 +11,14 @@ from typing import Any
 
 import pytest
 
-from dataset import load
 from dataset.config import EPOCH_ALTERATIONS
-from model import RunError, TrainConfig, train
+from model import train
 from model.cli import main
 from model.evaluation.evaluate import evaluate
 from model.runs.history import read_epochs
 from model.runs.provenance import training_of
-from toy import SMALL
-from udacity import call
+from tests.helpers.toy import SMALL
+from tests.helpers.udacity import call
 
 CONFIG = replace(SMALL, epochs=2, batch=6, keep="last", alter_each_epoch=("all",))
 
@@ -57,13 +56,6 @@ def test_frames_held_out_are_measured_as_they_were_recorded(index: Path, whole: 
     assert last.measures.network.rmse_deg == pytest.approx(measures.network.rmse_deg, rel=1e-4)
 
 
-def test_a_run_of_before_had_none_as_have_the_other_recipes(index: Path) -> None:
-    assert TrainConfig().epoch_alterations == EPOCH_ALTERATIONS
-    assert TrainConfig.of("people").epoch_alterations == TrainConfig.of("original").epoch_alterations == ()
-    with load(index, alter_each_epoch=TrainConfig.of("people").epoch_alterations) as loader:
-        assert loader.alterations is None
-
-
 def test_the_command_keeps_it_and_like_and_resume_repeat_it(
     index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -91,13 +83,3 @@ def test_all_of_version_0_3_are_those_it_had(index: Path, whole: Path, tmp_path:
     settings = training_of(config, run)
     assert settings.epoch_alterations == tuple(name for name in EPOCH_ALTERATIONS if name != "mix")
     assert settings.light == "as-seen"
-
-
-def test_a_run_of_an_unknown_alteration_is_refused(index: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    train(index, run, replace(CONFIG, epochs=1))
-    config = json.loads((run / "config.json").read_text())
-    config["training"]["alter_each_epoch"] = ["rain"]
-    (run / "config.json").write_text(json.dumps(config))
-    with pytest.raises(RunError, match="training settings cannot be used"):
-        train(index, run, resume=True)

@@ -9,22 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 from safetensors.torch import load_file as load_tensors
 
-from common.car import Camera
 from dataset import IndexConfig, Loader, Samples, build_index
 from dataset.picture_spec import ORIGINAL
-from logs import write_log
 from model import RunError, evaluate, load_pilot, train
 from model.network.small import SmallNetwork
 from model.onnx_export import export_onnx
 from model.runs.answer_scale import MAX_CURVE, MAX_SCALE, MIN_SCALE, AnswerScale
-from model.runs.checksums import save_checksummed
+from model.runs.checkpoint import save_checksummed
 from model.runs.history import read_history
 from model.runs.run_folder import load_answer_scale
-from model.training.natural_frequency import NaturalFrames
-from toy import SMALL, STEERING, road
+from model.training.validation import NaturalFrames
+from tests.helpers.logs import write_log
+from tests.helpers.toy import SMALL, road
 
 NEARLY_A_QUARTER = 1 / (1 + 3**0.75)  # of two kinds of frames, one thrice as many: three quarters of the way
 NATURAL = replace(SMALL, epochs=2, answers="natural")
@@ -49,17 +47,6 @@ def test_the_fit_is_that_of_least_squares() -> None:
     columns = np.stack([learnt, np.ones(500), learnt * np.abs(learnt)], 1)
     expected = np.linalg.solve(columns.T @ columns, columns.T @ steering)  # the normal equations
     assert (fit.scale, fit.offset, fit.curve) == pytest.approx(tuple(expected), abs=1e-9)
-
-
-@pytest.mark.parametrize("answers", [AnswerScale(), AnswerScale(0.5, 0.1), AnswerScale(0.1, -0.1, 1.5)])
-def test_what_was_learnt_can_be_told_from_the_answer(answers: AnswerScale) -> None:
-    learnt = np.linspace(-1.5, 1.5, 31)
-    assert answers.learnt(answers.natural(learnt)) == pytest.approx(learnt, abs=1e-12)
-
-
-@pytest.mark.parametrize("learnt", [np.zeros(0), np.full(5, 0.3)])
-def test_nothing_to_fit_by_leaves_what_was_learnt(learnt: NDArray[np.float64]) -> None:
-    assert AnswerScale.fit(learnt, np.linspace(-1, 1, len(learnt))) == AnswerScale()
 
 
 @pytest.mark.parametrize(("beside", "offset"), [(0.15, 0.15), (-0.5, -0.2)])
@@ -122,13 +109,6 @@ def by_hand(answers: AnswerScale, learnt: NDArray[np.float64]) -> NDArray[np.flo
     return np.asarray(answers.scale * learnt + bent + answers.offset)
 
 
-@pytest.mark.parametrize("file", ["model.safetensors", "last/checkpoint.safetensors"])
-def test_what_is_learnt_does_not_depend_on_the_scale(natural: Path, as_learnt: Path, file: str) -> None:
-    scaled, plain = (load_file(run / file) for run in (natural, as_learnt))
-    assert scaled.keys() == plain.keys()
-    assert all((scaled[name] == plain[name]).all() for name in scaled)
-
-
 def test_a_run_whose_scale_is_in_its_last_layer_drives_as_it_did(
     as_learnt: Path, index: Path, tmp_path: Path
 ) -> None:
@@ -152,10 +132,6 @@ def test_both_numbers_are_told(natural: Path, as_learnt: Path, index: Path) -> N
         assert epoch.learnt == of_plain.measures.network == of_plain.learnt
         assert epoch.measures.network != epoch.learnt
         assert epoch.answers != of_plain.answers == AnswerScale()
-
-
-def post(camera: Camera, row: int) -> bytes:
-    return road(camera, row % len(STEERING))
 
 
 def test_only_training_frames_tell_it_in_the_frequency_of_the_road(tmp_path: Path) -> None:

@@ -19,18 +19,19 @@ import torch
 from torch import Tensor
 
 from dataset import IndexConfig, Loader, build_index, decode, load, preprocess
-from dataset.augment import ALTERATIONS, alter
+from dataset.alterations import ALTERATIONS, alter
 from dataset.config import EPOCH_ALTERATIONS
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from logs import write_log
-from model.training.batches import Batches, DeviceBatches, HostBatches, PinnedBatches, make_batches, needed_bytes
-from udacity import scene
+from model.training.batches import KeptBatches, StreamedBatches, make_batches, needed_bytes
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import scene
 
 CPU = torch.device("cpu")
 STEERING = [round(-0.6 + 0.1 * row, 2) for row in range(12)]
 BATCH = 32
-MAKERS: list[Callable[[Loader, torch.device], Batches]] = [DeviceBatches, PinnedBatches]
+Batches = KeptBatches | StreamedBatches
+MAKERS: list[Callable[[Loader, torch.device], Batches]] = [KeptBatches, StreamedBatches]
 
 
 @pytest.fixture(autouse=True)
@@ -63,13 +64,9 @@ def pixels(pictures: Tensor) -> Image:
 # The same as the loader gives
 
 
-@pytest.mark.parametrize(("make", "kind"), [(make_batches, HostBatches), (PinnedBatches, PinnedBatches)])
-def test_batches_for_a_cpu_and_copied_ones_are_those_of_the_loader(
-    index: Path, make: Callable[[Loader, torch.device], Batches], kind: type[Batches]
-) -> None:
+def test_batches_for_a_cpu_are_those_of_the_loader(index: Path) -> None:
     with load(index, batch=BATCH) as loader:
-        batches = make(loader, CPU)
-        assert type(batches) is kind
+        batches = make_batches(loader, CPU)
         for batch, (pictures, steering) in zip(loader.epoch(2), batches.epoch(2), strict=True):
             assert pictures.is_contiguous(memory_format=torch.channels_last)
             assert (pixels(pictures) == batch.pictures).all()
@@ -79,7 +76,7 @@ def test_batches_for_a_cpu_and_copied_ones_are_those_of_the_loader(
 def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path) -> None:
     rows = rows_of(index)
     with load(index, batch=BATCH, seed=5) as loader:
-        batches = DeviceBatches(loader, CPU)
+        batches = KeptBatches(loader, CPU)
         for epoch in (1, 2, 4):
             parts = loader.parts(epoch)
             expected = loader.epoch(epoch)
@@ -91,35 +88,7 @@ def test_crops_on_the_device_give_the_batches_of_the_loader(index: Path) -> None
                 assert (pixels(pictures) == batch.pictures).all()
 
 
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_batch_is_its_own_and_stays_what_it_is(
-    index: Path, make: Callable[[Loader, torch.device], Batches]
-) -> None:
-    with load(index, batch=BATCH) as loader:
-        batches = make(loader, CPU)
-        kept = [pictures for pictures, _ in batches.epoch(1)]
-        before = [pixels(pictures).tobytes() for pictures in kept]
-        for pictures, _ in batches.epoch(2):
-            pictures.zero_()
-        assert [pixels(pictures).tobytes() for pictures in kept] == before
-        assert [pixels(pictures).tobytes() for pictures, _ in batches.epoch(1)] == before
-
-
 # Bringing the crops there
-
-
-def test_every_picture_is_reported_once(index: Path) -> None:
-    """Mirror images and copies show the same picture."""
-    pictures = len({(row["offset"], row["camera"]) for row in rows_of(index)})
-    reported: list[int] = []
-    with load(index, batch=8) as loader:
-        assert loader.pictures == pictures < len(loader) / 2
-        batches = DeviceBatches(loader, CPU, reported.append)
-        assert sum(reported) == pictures
-        assert max(reported) <= 8  # reported as it goes
-        (index.parent / "lake.mcap").rename(index.parent / "away.mcap")  # nothing is opened again
-        assert sum(len(steering) for _, steering in batches.epoch(1)) == len(loader)
-        (index.parent / "away.mcap").rename(index.parent / "lake.mcap")
 
 
 def test_the_memory_needed_is_that_of_the_crops_and_a_little(index: Path) -> None:
@@ -132,9 +101,9 @@ def test_the_memory_needed_is_that_of_the_crops_and_a_little(index: Path) -> Non
         assert crops <= needed_bytes(loader) < crops + 20 * len(loader)
 
 
-@pytest.mark.parametrize(("spare_bytes", "kind"), [(0, DeviceBatches), (-1, PinnedBatches)])
+@pytest.mark.parametrize(("spare_bytes", "kind"), [(0, KeptBatches), (-1, StreamedBatches)])
 def test_a_device_that_has_room_for_all_crops_gets_them(
-    index: Path, spare_bytes: int, kind: type[DeviceBatches | PinnedBatches]
+    index: Path, spare_bytes: int, kind: type[KeptBatches | StreamedBatches]
 ) -> None:
     elsewhere = torch.device("meta")  # any device that is no CPU; this one has no memory and computes nothing
     with load(index, batch=BATCH) as loader:
@@ -158,7 +127,7 @@ def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, 
     rows = rows_of(tmp_path / "index")
     with load(tmp_path / "index", batch=BATCH, threads=1) as loader:
         order = loader.order(1)
-        shown = np.concatenate([pixels(pictures) for pictures, _ in DeviceBatches(loader, CPU).epoch(1)])
+        shown = np.concatenate([pixels(pictures) for pictures, _ in KeptBatches(loader, CPU).epoch(1)])
     for sample, picture in zip(order, shown, strict=True):
         row = rows[sample]
         crop = preprocess(decode(scene(row["camera"], row["row"])))
@@ -172,7 +141,7 @@ def test_alterations_come_in_the_order_of_the_index_whatever_it_is(index: Path, 
 def test_a_device_alters_as_the_loader_does(index: Path) -> None:
     """But for rounding, and for pixels at the edge of a shadow."""
     with load(index, batch=BATCH, alter_each_epoch=EPOCH_ALTERATIONS) as loader:
-        device = DeviceBatches(loader, CPU)
+        device = KeptBatches(loader, CPU)
         for epoch, start in ((1, 0), (2, 0), (2, 2), (4, 0)):
             pairs = zip(loader.epoch(epoch, start), device.epoch(epoch, start), strict=True)
             for batch, (pictures, steering) in pairs:
@@ -187,6 +156,6 @@ def test_a_device_alters_as_the_loader_does(index: Path) -> None:
 def test_colours_in_another_order_are_altered_by_the_loader(index: Path) -> None:
     elsewhere = torch.device("meta")
     with load(index, alter_each_epoch=("noise",), seen=PictureSpec(channels="YUV")) as loader:
-        assert type(make_batches(loader, elsewhere, budget_bytes=1 << 40)) is PinnedBatches
+        assert type(make_batches(loader, elsewhere, budget_bytes=1 << 40)) is StreamedBatches
     with load(index, alter_each_epoch=("noise",)) as loader:
-        assert type(make_batches(loader, elsewhere, budget_bytes=1 << 40)) is DeviceBatches
+        assert type(make_batches(loader, elsewhere, budget_bytes=1 << 40)) is KeptBatches

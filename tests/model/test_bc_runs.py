@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import untrained_run
-from histories import epoch_line
-from logs import write_log
 from model.runs.kept_results import keep_result
 from model.runs_cli import main as bc_runs
-from runs import a_run
-from toy import STEERING, road
-from udacity import call
+from tests.helpers.driving import untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.toy import STEERING, road
+from tests.helpers.udacity import call
 
 
 @pytest.fixture(autouse=True)
@@ -84,16 +84,6 @@ def test_a_supervised_drive_says_how_many_interventions_are_a_persons(
     assert call(bc_runs, "--runs", tmp_path) == 0
     row = capsys.readouterr().out.splitlines()[-1]
     assert "10 mph: lake 2; supervised at 10 mph: mountain 3 (2 by a person) in 0.50 laps" in row
-
-
-def test_runs_are_ordered_by_supervised_drives_where_nothing_else_drove(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, times in (("often", 9), ("seldom", 1)):
-        keep_result(a_run(tmp_path, name), "supervised", drive("lake", times) | {"by_person": times})
-    keep_result(a_run(tmp_path, "some"), "simulator", drive("lake", 4))
-    runs = listed(capsys, tmp_path, "--sort", "interventions")
-    assert [run["name"] for run in runs] == ["seldom", "some", "often"]
 
 
 def test_a_run_says_what_network_it_is_and_what_it_answers(
@@ -168,25 +158,6 @@ def test_the_last_drive_of_each_track_and_speed_counts(tmp_path: Path, capsys: p
     assert [kept["result"]["interventions"] for kept in shown["results"]] == [1, 3, 0]
 
 
-def test_part_of_a_lap_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No intervention in 30 m is no lap without one."""
-    run = a_run(tmp_path, "first")
-    keep_result(run, "simulator", drive("lake", 0) | {"laps": 0.0302})
-    keep_result(run, "simulator", drive("mountain", 0) | {"laps": 1.0004})
-    assert call(bc_runs, "--runs", tmp_path) == 0
-    assert "10 mph: lake 0 in 0.03 laps, mountain 0" in capsys.readouterr().out
-
-
-def test_errors_of_a_training_that_ran_away_fit_their_column(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    a_run(tmp_path, "wild", 4e17)
-    assert call(bc_runs, "--runs", tmp_path) == 0
-    row = capsys.readouterr().out.splitlines()[-1].split()
-    assert (row[0], row[5]) == ("wild", "1.0e+17")
-
-
 def test_results_of_other_weights_are_not_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = a_run(tmp_path, "first")
     keep_result(run, "simulator", drive("lake", 7))
@@ -226,16 +197,6 @@ def test_a_damaged_run_is_named_behind_the_others(tmp_path: Path, capsys: pytest
     assert str(tmp_path / "broken" / "config.json") in output.err
 
 
-def test_lines_that_are_no_results_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = a_run(tmp_path, "first")
-    lines = ["garbage", "{}", '{"way": "simulator"}', "[" * 100_000, '{"way": 1, "result": []}']
-    (run / "results.jsonl").write_text("".join(f"{line}\n" for line in lines))
-    keep_result(run, "simulator", drive("lake", 0))
-    keep_result(run, "simulator", {"track": "lake", "distance_m": "far"})  # of a whole line, but no drive
-    (shown,) = listed(capsys, tmp_path)
-    assert [kept["result"]["track"] for kept in shown["results"]] == ["lake"]
-
-
 def test_a_line_that_was_cut_off_takes_no_other_one_with_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -256,10 +217,3 @@ def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.Captur
     for folder in (tmp_path, tmp_path / "nowhere"):
         assert call(bc_runs, "--runs", folder) == 1
         assert "bc-train" in capsys.readouterr().err
-
-
-def test_a_run_in_place_of_its_folder_is_said(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    a_run(cwd / "my runs", "first")
-    assert call(bc_runs, "--runs", Path("my runs") / "first") == 1
-    folder = cwd / "my runs"
-    assert f"first: a run; `bc-runs --runs '{folder}'` lists those of its folder" in capsys.readouterr().err

@@ -13,14 +13,14 @@ import pytest
 from dataset.cli import main as bc_index
 from drive.driven_car import driven_car
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import one_line_in, road_jpeg
-from logs import write_log
 from model.cli import main as bc_train
 from model.runs.car_of_run import max_steering_deg_of_run
 from model.runs.history import read_history
 from recorder import Log
 from recorder.log.session_car import Car
-from udacity import call
+from tests.helpers.driving import one_line_in, road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 ROWS = 40
 OWN = Car(max_steering_deg=30.0, wheelbase_m=2.4)

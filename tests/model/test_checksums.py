@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import os
 import re
 import shutil
 from collections.abc import Callable
@@ -21,8 +20,7 @@ from safetensors.numpy import load_file, save_file
 from model import RunError, load_pilot, predict_log, train
 from model.evaluation.evaluate import evaluate, evaluate_sessions
 from model.onnx_export import export_onnx
-from model.runs import checksums
-from toy import ONE
+from tests.helpers.toy import ONE
 
 
 @pytest.fixture
@@ -63,20 +61,6 @@ def test_the_checksum_is_that_of_the_file_with_zeros_in_its_place(trained: Path)
         data = path.read_bytes()
         assert data.count(stored.encode()) == 1
         assert hashlib.sha256(data.replace(stored.encode(), b"0" * 64)).hexdigest() == stored
-
-
-@pytest.mark.parametrize(("name", "hole_bytes"), [("model.safetensors", 1 << 29), ("last", 1 << 42)])
-def test_a_file_too_large_for_its_network_is_not_read(run: Path, name: str, hole_bytes: int) -> None:
-    path = checkpoint(run) if name == "last" else weights(run)
-    os.truncate(path, hole_bytes)
-    with pytest.raises(RunError, match=rf"{path.name}: cannot be read \(.*larger than 2\d\d MB"):
-        load_pilot(run / "last" if name == "last" else run)
-
-
-def test_a_checkpoint_of_any_network_is_read(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checksums, "_MAX_OTHER_BYTES", 1 << 16)
-    assert checkpoint(run).stat().st_size > 10 * (1 << 16)
-    load_pilot(run / "last")
 
 
 def test_others_read_the_weights_as_they_are(trained: Path) -> None:
@@ -141,12 +125,6 @@ def test_any_flipped_bit_is_found(run: Path, caplog: pytest.LogCaptureFixture) -
                 load_pilot(run, "float32")
 
 
-def test_the_position_of_a_checkpoint_is_protected_too(index: Path, run: Path) -> None:
-    place = checkpoint(run).read_bytes().index(rb"\"epoch\": 2") + len(rb"\"epoch\": ")
-    flip(checkpoint(run), place)  # 2 becomes 3
-    refused(lambda: train(index, run, replace(ONE, epochs=9), resume=True), checkpoint(run))
-
-
 def test_runs_of_earlier_versions_are_read_and_that_is_said_once(
     index: Path, run: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -160,16 +138,3 @@ def test_runs_of_earlier_versions_are_read_and_that_is_said_once(
     assert record.levelno == logging.WARNING
     assert record.getMessage().startswith(f"{run}: of an earlier version, without checksums")
     assert b"sha256" in header_of(checkpoint(run))  # what is written from now on has one
-
-
-def test_weights_without_any_metadata_are_those_of_an_earlier_version(
-    run: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Another program may write `null` for none."""
-    data = weights(run).read_bytes()
-    names = {**json.loads(header_of(weights(run))), "__metadata__": None}
-    header = json.dumps(names).encode()
-    values = data[8 + len(header_of(weights(run))) :]
-    weights(run).write_bytes(len(header).to_bytes(8, "little") + header + values)
-    load_pilot(run, "float32")
-    assert "without checksums" in caplog.text

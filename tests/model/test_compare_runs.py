@@ -17,14 +17,14 @@ from torch import Tensor
 from common.car import Camera
 from dataset import IndexConfig, build_index
 from drive.evaluation.eval_cli import main
-from logs import write_log
 from model import TrainConfig, train
 from model.evaluation.differences import overall
 from model.evaluation.evaluate import evaluate_runs_on_sessions
 from model.evaluation.run_comparison import Comparison
 from model.runs.run_folder import load_network, save_weights
-from toy import SMALL
-from udacity import call, encode
+from tests.helpers.logs import write_log
+from tests.helpers.toy import SMALL
+from tests.helpers.udacity import call, encode
 
 LEARNT = [round(0.8 * math.sin(row / 3), 3) for row in range(60)]
 STEERING = [round(0.7 * math.sin(row / 2 + 1), 3) for row in range(60)]

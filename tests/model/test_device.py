@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import torch
 
-from driving import run_code
 from model import TrainConfig
 from model.device import choose_machine, processor_way, training_dtype
+from tests.helpers.driving import run_code
 
 CPU = torch.device("cpu")
 HAS_BFLOAT16 = any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16", "bf16"))
@@ -32,12 +32,6 @@ def test_the_way_of_each_kind_of_processor(
 ) -> None:
     way = processor_way({"l2_cache_size": 2 << 20, "num_physical_cores": 2, **capabilities})
     assert (way.arithmetic, way.micro_batch) == (arithmetic, micro_batch)
-
-
-def test_arithmetic_that_is_asked_for_has_a_way_on_every_processor() -> None:
-    assert processor_way({"amx_bf16": True}, "bfloat16").micro_batch == 128
-    assert processor_way({"amx_bf16": True}, "float32").micro_batch == 64
-    assert processor_way({"avx2": True}, "bfloat16").arithmetic == "bfloat16"
 
 
 def test_the_arithmetic_is_the_processors_unless_it_is_chosen() -> None:

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from dataset import decode
-from driving import road_jpeg, untrained_run
 from model import load_pilot
 from model.donkeycar_export import export_to_donkeycar
-from needs import DONKEYCAR_PYTHON
-from ports import free_ports
 from recorder import Log
 from recorder.sources.recording_kinds import import_recording
-from repository import ROOT
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.needs import DONKEYCAR_PYTHON
+from tests.helpers.ports import free_ports
+from tests.helpers.repository import ROOT
 
 PROGRAM: Final = ROOT / "tests" / "helpers" / "donkeycar_program.py"
 ABOVE, LAST = "    aiLauncher = AiLaunch(", "    # run the vehicle\n"

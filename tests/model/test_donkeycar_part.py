@@ -17,12 +17,12 @@ from onnx import TensorProto, helper
 from dataset import decode
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import preprocess
-from driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from model import load_pilot
 from model.cli import main
 from model.network.choice import built_in
 from model.onnx_export import IR_VERSION, OPSET, export_onnx
-from udacity import call
+from tests.helpers.driving import PATIENCE_S, environment, road_jpeg, untrained_run
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 
@@ -140,13 +140,6 @@ def test_the_crop_in_the_graph_is_that_of_training(network: str, car: Path, tmp_
         assert np.array_equal(crop, expected), size
 
 
-def test_grey_pictures_count_as_such_and_none_stands_still(car: Path, pilot_class: Any, road: Any) -> None:
-    pilot = pilot_class(car / "first.onnx")
-    grey = np.repeat(road[..., :1], 3, axis=2)
-    assert pilot.run(road[..., 0]) == pilot.run(road[..., :1]) == pilot.run(grey)
-    assert pilot.run(None) == (0.0, 0.0)
-
-
 def test_in_a_thread_it_gives_the_last_answer_until_it_is_shut_down(
     car: Path, pilot_class: Any, road: Any
 ) -> None:
@@ -160,14 +153,6 @@ def test_in_a_thread_it_gives_the_last_answer_until_it_is_shut_down(
     pilot.shutdown()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-
-
-def test_a_thread_that_fails_stops_the_loop(car: Path, pilot_class: Any) -> None:
-    pilot = pilot_class(car / "first.onnx")
-    pilot.run_threaded(np.zeros((120, 160, 4), np.uint8))
-    pilot.update()
-    with pytest.raises(Exception, match="picture"):
-        pilot.run_threaded(None)
 
 
 def test_it_prints_the_next_steps_and_replaces_nothing_unasked(

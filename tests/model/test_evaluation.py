@@ -21,16 +21,16 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from common.car import Camera
-from dataset import DatasetError, IndexConfig, build_index, decode
+from dataset import IndexConfig, build_index, decode
 from drive.evaluation.eval_cli import main
 from drive.evaluation.eval_report import print_evaluation
-from logs import START_NS, not_a_picture, plain_read, read_messages, write_log
 from model import load_pilot, train
 from model.evaluation.evaluate import Evaluation, evaluate, evaluate_sessions
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from toy import SMALL, STEERING, road
-from udacity import call, encode
+from tests.helpers.logs import START_NS, not_a_picture, plain_read, read_messages, write_log
+from tests.helpers.toy import SMALL, STEERING, road
+from tests.helpers.udacity import call, encode
 
 STEP_NS = 300_000_000
 SPLIT = IndexConfig(flip=False, max_uses=1, block_s=1.2, gap_s=0.3, validation_share=0.4)
@@ -219,24 +219,6 @@ def test_the_table_says_how_late_a_person_steers(
     assert re.findall(r"^(\S+) s later +1\.00 ", capsys.readouterr().out, re.MULTILINE) == shown
 
 
-def test_a_smooth_driver_has_no_reaction_time(cwd: Path, tmp_path: Path) -> None:
-    """In bends, the steering is alike at many delays."""
-    bends = [0.5 * math.sin(row / 20) for row in range(650)]
-    pictures = [road("center", row) for row in range(len(STEERING))]
-    log = write_log(
-        tmp_path / "smooth.mcap",
-        bends,
-        lambda camera, row: pictures[row % len(pictures)],
-        cameras=["center"],
-        step_ns=100_000_000,
-    )
-    measured = evaluate_sessions("runs/toy", [log])
-    earlier = pa.array(np.roll(measured.frames["recorded"].to_numpy(), -3))
-    late = replace(measured, frames=measured.frames.drop(["predicted"]).append_column("predicted", earlier))
-    assert late.reaction_time is None
-    assert replace(late, hands={}).reaction_time is not None
-
-
 def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "toy", "--json", "--worst", 2) == 0
     told = capsys.readouterr()
@@ -276,17 +258,6 @@ def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.Captu
     for session in ("a", "b"):
         assert f"{result['sessions'][session]['network']['rmse_deg']:.2f}" in " ".join(lines)
     assert lines[-1] == "measured on the frames held out of index"
-
-
-def test_the_name_of_a_run_is_no_markup(
-    cwd: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = shutil.copytree(cwd / "runs" / "toy", tmp_path / "[red]toy")
-    monkeypatch.setenv("COLUMNS", "200")
-    assert call(main, run, "--index", "index", "--worst", 0) == 0
-    shown = capsys.readouterr().out
-    assert shown.splitlines()[0].strip().startswith("[red]toy: ")
-    assert "worst" not in shown
 
 
 def test_the_worst_frames_come_with_the_commands_that_show_them(
@@ -343,16 +314,6 @@ def test_a_run_is_measured_on_the_index_that_it_was_trained_on(
     assert call(main, "my runs/toy") == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "my index: the index that my runs/toy was trained on is missing; give --index" in line
-
-
-def test_a_run_without_a_known_index_uses_that_of_the_folder(
-    cwd: Path, run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As those of earlier versions, and those of somebody else who writes nonsense there."""
-    for index in (None, "\0", ["index"]):
-        change(run, index=index)
-        assert call(main, run) == 0
-        assert capsys.readouterr().out.splitlines()[-3] == "measured on the frames held out of index"
 
 
 # What the run has learnt from
@@ -448,19 +409,6 @@ def test_whole_sessions_that_the_run_never_had_are_measured_by_frame(
     assert result["worst"][0]["row"] == max(range(len(off)), key=lambda row: abs(off[row]))
 
 
-def test_a_result_that_cannot_be_kept_is_shown_and_is_something_lost(
-    cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = shutil.copytree(cwd / "runs" / "toy", tmp_path / "toy")
-    (run / "results.jsonl").unlink(missing_ok=True)
-    (run / "results.jsonl").mkdir()
-    assert call(main, run, "--session", "new", "--json") == 3
-    shown = capsys.readouterr()
-    assert json.loads(shown.out)["frames"] == len(STEERING)
-    assert "the result is not kept in the run" in shown.err
-    assert "make room" not in shown.err
-
-
 def test_a_session_that_the_run_has_learnt_from_is_known_by_its_bytes(
     cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -487,17 +435,6 @@ def test_an_index_that_splits_otherwise_is_seen_through(
     assert count > 0
     assert call(main, "toy", "--index", index) == 3
     assert f"toy has learnt from {count} of these" in capsys.readouterr().err
-
-
-def test_a_session_that_was_held_out_whole_is_measured_without_a_notice(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = data_of(run)
-    change(run, data={**data, "settings": {**data["settings"], "validation": ["b"]}})
-    assert call(main, run, "--session", "b") == 0
-    assert capsys.readouterr().err == ""
-    assert call(main, run, "--session", "a") == 3
-    assert f"has learnt from {len(STEERING)} of these {len(STEERING)} frames" in capsys.readouterr().err
 
 
 def test_a_fine_tuned_run_has_learnt_what_the_run_before_it_has(
@@ -561,16 +498,6 @@ def test_undecodable_pictures_are_named_and_the_others_keep_their_places(
     assert {row["row"]: row["predicted"] for row in torn} == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_session_without_a_single_picture_is_one_line(
-    cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = write_log(tmp_path / "torn.mcap", STEERING[:4])
-    assert call(main, "toy", "--session", log) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "none of 4 pictures decodes" in line
-    assert "torn row 0 center" in line
-
-
 def test_a_session_of_which_nothing_is_measured_is_named(
     cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -591,28 +518,6 @@ def test_an_unfinished_log_is_measured_as_far_as_it_is_whole(
     assert "bc-log recover" in line
 
 
-def test_what_cannot_be_measured_does_not_exist_in_the_json(
-    cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = write_log(tmp_path / "straight.mcap", [0.0] * 5, road)
-    assert call(main, "toy", "--session", log, "--json") == 0
-    result = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert result["network"]["correlation"] is None
-    assert result["network"]["turning_mae_deg"] is None
-    assert result["sessions"]["straight"]["network"]["turning_mae_deg"] is None
-    assert result["zero"]["mae_deg"] == 0
-    assert call(main, "toy", "--session", log) == 0  # and the table shows it
-
-
-def test_an_empty_split_is_one_line(cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    logs = [cwd / "sessions" / "a.mcap"]
-    index = build_index(logs, tmp_path / "index", IndexConfig(validation_share=0)).path
-    assert call(main, "toy", "--index", index) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "no frame of the split validation" in line
-    assert "--session" in line
-
-
 def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     weights = load_file(run / "model.safetensors")
     name = next(name for name, tensor in weights.items() if tensor.shape == (1,))
@@ -621,23 +526,6 @@ def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFi
     unsealed, line = capsys.readouterr().err.splitlines()
     assert "without checksums" in unsealed
     assert "not finite" in line
-
-
-def test_an_index_of_somebody_else_is_damaged_in_one_line(cwd: Path, tmp_path: Path) -> None:
-    index = shutil.copytree(cwd / "index", tmp_path / "index")
-    shutil.copytree(cwd / "sessions", tmp_path / "sessions")
-    table = pq.read_table(index / "samples.parquet")
-    for changed in (
-        table.drop_columns(["row"]),
-        table.drop_columns(["recorded"]),
-        table.set_column(0, "session", pa.array(["c"] * len(table))),
-        table.set_column(3, "log_time_ns", pa.nulls(len(table), pa.int64())),
-        table.set_column(3, "log_time_ns", pa.array(["noon"] * len(table))),
-    ):
-        pq.write_table(changed.replace_schema_metadata(table.schema.metadata), index / "samples.parquet")
-        with pytest.raises(DatasetError, match=r"damaged.*bc-index") as caught:
-            evaluate(cwd / "runs" / "toy", index)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

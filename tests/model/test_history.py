@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
-import random
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from histories import epoch_line, step_lines, write_lines, write_run
-from model import RunError
-from model.runs.history import History, read_history
-from model.runs.history_lines import parse_epoch
+from common.car import Camera
+from dataset import Samples, decode, preprocess
+from model import train
+from model.network.choice import built_in
+from model.runs.history import History, parse_epoch, read_history
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE, Step
 from model.training.run_writer import RunWriter
+from tests.helpers.histories import epoch_line, write_lines, write_run
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.toy import SMALL, STEERING, road, toy_index
 
 
 def wrong_epochs() -> list[str]:
@@ -56,25 +58,6 @@ def test_lines_that_no_training_writes_are_named_and_the_others_read(tmp_path: P
     assert [epoch.training_loss for epoch in history.epochs] == pytest.approx([0.2, 0.2 / 3])
 
 
-def test_fields_that_nobody_reads_may_hold_anything(tmp_path: Path) -> None:
-    """Those of a later version, or of somebody else's tools."""
-    run = write_run(tmp_path / "first", 1)
-    before, _ = read_history(run)
-    anything: list[Any] = [10**40, 1e200, float("nan"), None, True, "\ud800", [], {"deep": -(10**400)}]
-    for number, value in enumerate(anything, 2):
-        good, step = epoch_line(number), step_lines(number)[0]
-        changed = {name: {**good[name], "balanced_rmse_deg": value} for name in ("validation", "zero")}
-        bins = [{**part, "later": value} for part in good["bins"]]
-        write_lines(
-            run / "metrics.jsonl", [{**good, **changed, "bins": bins, "balanced_rmse_deg": value, "x": value}]
-        )
-        write_lines(run / "steps.jsonl", [{**step, "later": value}])
-    history, skipped = read_history(run)
-    assert list(skipped) == []
-    assert [epoch.epoch for epoch in history.epochs] == list(range(1, 2 + len(anything)))
-    assert len(history.steps) == len(before.steps) + len(anything)
-
-
 def test_a_last_line_that_a_kill_has_cut_off_is_named(tmp_path: Path) -> None:
     run = write_run(tmp_path / "first", 2)
     data = (run / "metrics.jsonl").read_bytes()
@@ -82,44 +65,6 @@ def test_a_last_line_that_a_kill_has_cut_off_is_named(tmp_path: Path) -> None:
     history, skipped = read_history(run)
     assert len(history.epochs) == 1
     assert list(skipped) == [("lines that were cut off", "metrics.jsonl line 2")]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_damaged_files_are_read_as_far_as_they_make_sense(tmp_path: Path, seed: int) -> None:
-    run, chance = write_run(tmp_path / "first", 3), random.Random(seed)
-    whole = (run / "metrics.jsonl").read_bytes()
-    for _ in range(200):
-        damaged = bytearray(whole)
-        for _ in range(3):
-            damaged[chance.randrange(len(damaged))] = chance.choice(b'0123456789"{}[],:.-e\n\0\xff')
-        (run / "metrics.jsonl").write_bytes(damaged)
-        history, skipped = read_history(run)
-        assert len(history.epochs) + len(skipped) >= 1
-        assert all(epoch.epoch > 0 for epoch in history.epochs)
-
-
-@pytest.mark.parametrize("name", ["metrics.jsonl", "steps.jsonl"])
-def test_a_link_a_folder_or_a_pipe_is_refused(tmp_path: Path, name: str) -> None:
-    elsewhere = write_run(tmp_path / "elsewhere", 1)
-    kinds: dict[str, Callable[[Path], object]] = {
-        "link": lambda path: path.symlink_to(elsewhere / name),
-        "folder": Path.mkdir,
-        "pipe": os.mkfifo,
-    }
-    for kind, make in kinds.items():
-        run = write_run(tmp_path / kind, 1)
-        (run / name).unlink()
-        make(run / name)
-        with pytest.raises(RunError) as refused:
-            read_history(run)
-        assert str(refused.value).startswith(f"{run / name}: ")
-
-
-def test_a_file_that_is_all_hole_is_not_read(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    os.truncate(run / "steps.jsonl", 10**11)
-    with pytest.raises(RunError, match=r"steps\.jsonl: .*larger than"):
-        read_history(run)
 
 
 def test_a_folder_without_a_training_has_no_history(tmp_path: Path) -> None:
@@ -154,3 +99,76 @@ def test_a_very_long_history_loses_every_second_line(tmp_path: Path, monkeypatch
     assert history.best.epoch == 2
     assert history.epochs[-1].epoch == history.steps[-1].epoch == 300
     assert history.steps[0].epoch < 150
+
+
+CONFIG = replace(SMALL, epochs=3, batch=16)  # what is worst needs no good network
+SEEN = built_in("small", {}).picture
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`run`, which was trained on `index`."""
+    folder = tmp_path_factory.mktemp("worst")
+    train(toy_index(folder), folder / "run", CONFIG, show_progress=False)
+    return folder
+
+
+def held_out(folder: Path) -> list[int]:
+    samples = Samples(folder / "index")
+    samples.close()
+    return [row["row"] for row in samples.table.to_pylist() if row["split"] == "validation"]
+
+
+def lines(run: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (run / "worst.jsonl").read_text().splitlines()]
+
+
+def test_each_epoch_has_its_worst_frames_of_those_held_out(folder: Path) -> None:
+    for line, epoch in zip(lines(folder / "run"), read_history(folder / "run")[0].epochs, strict=True):
+        assert line["epoch"] == epoch.epoch
+        errors = [abs(frame["error_deg"]) for frame in line["frames"]]
+        assert errors == sorted(errors, reverse=True)
+        assert errors[0] >= epoch.measures.network.rmse_deg
+        for frame in line["frames"]:
+            assert frame["row"] in held_out(folder)
+            assert frame["recorded_deg"] == pytest.approx(25 * STEERING[frame["row"]])
+            assert frame["log_time_ns"] == START_NS + frame["row"] * STEP_NS
+
+
+def test_the_pictures_are_what_the_network_saw_there(folder: Path) -> None:
+    history, skipped = read_history(folder / "run")
+    assert len(skipped) == 0
+    assert len(history.worst) == CONFIG.epochs
+    for worst in history.worst:
+        assert worst.jpegs
+        for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
+            seen = preprocess(decode(road("center", frame.row)), SEEN)
+            assert np.abs(decode(jpeg).astype(int) - seen).mean() < 3  # a JPEG of it
+
+
+def test_a_picture_that_does_not_decode_moves_no_other_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = held_out(toy_index(tmp_path).parent)[0]
+
+    def picture(camera: Camera, row: int) -> bytes:
+        return b"no picture" if row == broken else road(camera, row)
+
+    (tmp_path / "toy.mcap").unlink()
+    monkeypatch.setattr("tests.helpers.toy.road", picture)
+    train(toy_index(tmp_path), tmp_path / "run", CONFIG, show_progress=False)
+    worst_of_epochs = read_history(tmp_path / "run")[0].worst
+    assert [len(worst.frames) > 0 for worst in worst_of_epochs] == [True] * CONFIG.epochs
+    for worst in worst_of_epochs:
+        for frame, jpeg in zip(worst.frames, worst.jpegs, strict=True):
+            assert frame.row != broken
+            seen = preprocess(decode(road("center", frame.row)), SEEN)
+            assert np.abs(decode(jpeg).astype(int) - seen).mean() < 3
+
+
+def test_a_run_that_goes_on_has_each_epoch_once(tmp_path: Path) -> None:
+    index = toy_index(tmp_path)
+    for epochs in (1, 2):
+        config = replace(SMALL, epochs=epochs, batch=16)
+        train(index, tmp_path / "run", config, resume=epochs > 1, show_progress=False)
+    assert [line["epoch"] for line in lines(tmp_path / "run")] == [1, 2]

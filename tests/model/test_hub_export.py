@@ -14,15 +14,15 @@ import pytest
 from ruamel.yaml import YAML
 
 from dataset import decode
-from disk import files_of_at_most
-from driving import road_jpeg, run_code, untrained_run
 from model import RunError, load_pilot, train
 from model.cli import main
 from model.hub_export import export_to_hub
 from model.runs.kept_results import keep_result
 from model.runs.run_folder import create_run, save_weights
-from toy import SMALL, toy_index
-from udacity import call
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import road_jpeg, run_code, untrained_run
+from tests.helpers.toy import SMALL, toy_index
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 
@@ -146,17 +146,6 @@ def test_the_card_says_where_it_drives_and_where_not(exported: Path) -> None:
     assert "| mountain (2.00 laps at 10 mph) | 2.00 | 3 | 98.7 % |" in told
 
 
-def test_places_on_this_machine_stay_here(exported: Path) -> None:
-    for path in exported.iterdir():
-        assert b"secret" not in path.read_bytes(), path
-
-
-def test_it_can_be_exported_again_and_from_there(exported: Path, tmp_path: Path) -> None:
-    again = export_to_hub(exported, tmp_path / "first", licence="cc-by-4.0").folder
-    for name in ("config.json", "model.safetensors", "model.onnx"):
-        assert (again / name).read_bytes() == (exported / name).read_bytes()
-
-
 def test_of_a_run_that_says_nothing_the_card_says_so(
     trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,19 +160,6 @@ def test_of_a_run_that_says_nothing_the_card_says_so(
     assert "Its errors are unknown" in told
     assert "It has not driven yet" in told
     assert "model-index" not in front_matter(tmp_path / "hub")
-
-
-def test_text_of_others_is_no_markup(trained: Path, tmp_path: Path) -> None:
-    run = shutil.copytree(trained, tmp_path / "a|b")
-    config = json.loads((run / "config.json").read_text())
-    name, log = next(iter(config["data"]["logs"].items()))
-    config["data"]["logs"] = {"<script>\n|": log, "[x](y)": {}, name: {"fingerprint": "`"}}
-    (run / "config.json").write_text(json.dumps(config))
-    folder = export_to_hub(run, tmp_path / "hub", licence="x: [y]").folder
-    told = section(folder, "What it learnt from")
-    assert r"| \<script\>\\n\| |" in told
-    assert r"| \[x\](y) |" in told
-    assert front_matter(folder)["license"] == "x: [y]"
 
 
 def test_nothing_is_overwritten_and_nothing_is_left_half(

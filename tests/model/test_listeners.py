@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from driving import one_line_in
 from model.cli import main
-from repository import ROOT
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call
 
 LISTENER = """
 import json
@@ -93,15 +93,6 @@ def test_what_is_no_listener_is_one_line_before_anything_is_trained(
     assert call(main, *flags, f"{tmp_path / 'mine.py'}:{name}") == 1
     assert said in one_line_in(capsys)
     assert not (tmp_path / "runs").exists()
-
-
-def test_a_file_that_is_not_there_is_told_before_anything_is_trained(
-    flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(main, *flags, f"{tmp_path / 'mime.py'}:Notes") == 1
-    assert f"did you mean {tmp_path / 'mine.py'}?" in one_line_in(capsys)
-    assert call(main, *flags, "no.py:Notes") == 1
-    assert f"no file no.py; give its path from {Path.cwd()}" in one_line_in(capsys)
 
 
 @pytest.mark.needs("mlflow")

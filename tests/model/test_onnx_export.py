@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 import shutil
 import subprocess
 import sys
@@ -21,15 +20,14 @@ from safetensors.torch import load_file as load_tensors
 
 from dataset import decode
 from dataset.preprocessing import Image
-from disk import files_of_at_most
-from driving import PATIENCE_S, environment, road_jpeg, untrained_run
-from exports import export
 from model import RunError, load_pilot
 from model.cli import main
-from model.onnx_export import _without_log, export_onnx
+from model.onnx_export import export_onnx
 from model.runs.run_folder import save_weights
-from repository import ROOT
-from udacity import call, encode
+from tests.helpers.driving import PATIENCE_S, environment, road_jpeg, untrained_run
+from tests.helpers.exports import export
+from tests.helpers.repository import ROOT
+from tests.helpers.udacity import call, encode
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 
@@ -102,16 +100,6 @@ for name in sys.argv[2:]:
     crops.append(cv2.resize(picture[top : len(picture) - bottom], size, interpolation=cv2.INTER_LINEAR))
 print(*network.run(["steering"], {"pictures": numpy.stack(crops)})[0])
 """
-
-
-def test_logging_stays_as_it_was_set() -> None:
-    logging.disable(logging.WARNING)
-    try:
-        with _without_log():
-            assert logging.root.manager.disable == logging.CRITICAL
-        assert logging.root.manager.disable == logging.WARNING
-    finally:
-        logging.disable(logging.NOTSET)
 
 
 def test_it_steers_as_the_pilot_does_where_nothing_else_is_installed(
@@ -260,13 +248,3 @@ def test_without_its_packages_the_error_says_how_to_get_them(
     with pytest.raises(RunError, match=r"`pip install .*\[onnx\].*`"):
         export_onnx(trained, tmp_path / "first.onnx")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_disk_leaves_what_was_there(trained: Path, tmp_path: Path) -> None:
-    mine = tmp_path / "mine.onnx"
-    mine.write_text("mine")
-    says = r"mine\.onnx: cannot be written \(File too large\); make room"
-    with files_of_at_most(1_000_000), pytest.raises(RunError, match=says):
-        export_onnx(trained, mine, overwrite=True)
-    assert list(tmp_path.iterdir()) == [mine]
-    assert mine.read_text() == "mine"

@@ -10,12 +10,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from common.car import Camera
-from driving import one_line_in, road_jpeg
-from logs import START_NS, STEP_NS, write_log
 from model.cli import main
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.writer import LogWriter
-from udacity import call
+from tests.helpers.driving import one_line_in, road_jpeg
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.udacity import call
 
 SMALL = ("--network", "small", "--epochs", "1")
 TAKEN = range(20, 40)

@@ -17,17 +17,17 @@ import torch
 from dataset import decode, load
 from dataset.picture_spec import ORIGINAL
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import road_jpeg, untrained_run
 from model import RunError, export_onnx, load_pilot, train
 from model.cli import main
 from model.evaluation.predict import as_input
-from model.network.choice import choose_network, chosen_picture
+from model.network.choice import choose_network
 from model.network.own_code import load_code
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_answer_scale, load_network
-from needs import require
-from toy import TINY
-from udacity import call
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.needs import require
+from tests.helpers.toy import TINY
+from tests.helpers.udacity import call
 
 ONE = replace(TINY, epochs=1, batch=8)
 
@@ -174,22 +174,6 @@ def test_a_file_that_has_changed_since_is_told(index: Path, tmp_path: Path) -> N
         load_pilot(run)
 
 
-def test_a_network_of_an_installed_package_is_named_by_its_module(index: Path, tmp_path: Path) -> None:
-    name = "model.network.small:SmallNetwork"
-    run = train(index, tmp_path / "run", replace(ONE, network=name)).run
-    assert json.loads((run / "config.json").read_text())["network"] == {"name": name, "arguments": {}}
-    assert load_pilot(run).picture == choose_network(replace(ONE, network="small")).picture
-
-
-def test_a_flag_that_no_run_needs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    untrained_run(tmp_path / "run")
-    code = written(tmp_path, PLAIN)
-    for name in (f"{code}:Net", "small"):
-        assert call(bc_eval, "run", "--runs", tmp_path, "--network", name) == 2
-        assert "leave it out" in " ".join(capsys.readouterr().err.split())
-    assert not Path(f"{code}.has-run").exists()
-
-
 def test_what_its_layers_cannot_do_is_said(index: Path, tmp_path: Path) -> None:
     """No ReLU, and a way that depends on what it sees; it drives all the same, and answers naturally."""
     path = written(tmp_path, ODD)
@@ -263,13 +247,6 @@ def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, said: s
     assert "\n" not in str(caught.value)
 
 
-def test_a_picture_that_is_none_is_one_line(tmp_path: Path) -> None:
-    """It was passed over, and the network was given the original's 128 x 128 pixels."""
-    path = written(tmp_path, body().replace("    def __init__", "    PICTURE = (96, 48)\n\n    def __init__", 1))
-    with pytest.raises(RunError, match=r"net\.py:Net: its PICTURE is a tuple, expected a PictureSpec"):
-        chosen_picture(ONE, choose_network(replace(ONE, network=f"{path}:Net")))
-
-
 def test_what_is_not_there_is_told_with_what_was_meant(cwd: Path) -> None:
     with pytest.raises(RunError, match=r"--network no\.such\.module:Net: .* cannot be imported"):
         load_code("no.such.module:Net")
@@ -294,10 +271,3 @@ def test_batch_normalisation_survives_a_last_batch_of_one(index: Path, tmp_path:
     network = f"{written(tmp_path, NORMALISED)}:Net"
     done = train(index, tmp_path / "run", replace(ONE, network=network, batch=batch, micro_batch=micro_batch))
     assert len((done.run / "metrics.jsonl").read_text().splitlines()) == 1
-
-
-def test_batch_normalisation_without_a_second_sample_is_one_line(index: Path, tmp_path: Path) -> None:
-    network = f"{written(tmp_path, NORMALISED)}:Net"
-    with pytest.raises(RunError, match="needs 2 samples at once"):
-        train(index, tmp_path / "run", replace(ONE, network=network, batch=1))
-    assert not (tmp_path / "run").exists()

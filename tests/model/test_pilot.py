@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import platform
 import sys
@@ -14,10 +13,10 @@ import torch
 
 from dataset import decode
 from dataset.preprocessing import Image
-from driving import Process, road_jpeg, untrained_run
 from model import Pilot, load_pilot
 from model.network.original import SteeringNetwork
 from model.runs.run_folder import load_network
+from tests.helpers.driving import Process, road_jpeg, untrained_run
 
 
 @pytest.fixture(scope="module")
@@ -59,28 +58,6 @@ def test_by_default_it_is_one_of_the_two_and_says_which(run: Path, crops: list[I
     assert [pilot.predict(crop) for crop in crops] == [asked.predict(crop) for crop in crops]
 
 
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_the_same_picture_always_gives_the_same_number(run: Path, crops: list[Image], precision: str) -> None:
-    pilots = [load_pilot(run, precision), load_pilot(run, precision)]  # type: ignore[arg-type]
-    pilots[0].warm_up()
-    said = [[pilot.predict(crop) for crop in crops] for pilot in pilots]
-    backwards = [pilots[0].predict(crop.copy()) for crop in reversed(crops)]
-    assert said[0] == said[1] == backwards[::-1]
-    assert len(set(said[0])) == len(crops)
-
-
-def test_a_pilot_names_its_run_and_weights(run: Path) -> None:
-    pilot = load_pilot(run)
-    assert pilot.run == "untrained"
-    assert pilot.weights_sha256 == hashlib.sha256((run / "model.safetensors").read_bytes()).hexdigest()
-
-
-def test_a_crop_may_be_a_view_of_another_picture(run: Path, crops: list[Image]) -> None:
-    pilot = load_pilot(run)
-    mirrored = crops[0][:, ::-1]
-    assert pilot.predict(mirrored) == pilot.predict(mirrored.copy())
-
-
 @pytest.mark.skipif(
     platform.machine() not in ("x86_64", "AMD64"), reason="needs a processor that can hide bfloat16"
 )
@@ -103,7 +80,7 @@ assert not pack_weights(load_network(run).bfloat16().head)
 print(load_pilot(run, "bfloat16").predict(np.load(crop)))
 """
     line = [sys.executable, "-c", program, str(run), str(tmp_path / "crop.npy")]
-    with Process(line, loads_pytorch=True) as older:
+    with Process(line) as older:
         assert older.join() == 0, older.stderr
     assert float(older.stdout) == pytest.approx(pilot.predict(crop), abs=0.01)
 

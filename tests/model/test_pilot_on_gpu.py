@@ -12,11 +12,11 @@ from torch import Tensor
 
 import model.pilot
 from dataset.preprocessing import Image
-from driving import untrained_run
 from model import RunError, load_pilot
 from model.device import choose_device
 from model.network import replayed
 from model.network.replayed import replayed_if_equal
+from tests.helpers.driving import untrained_run
 
 CPU = torch.device("cpu")
 UNFIT = torch.device("meta")  # PyTorch's device without numbers: a network can be put there, and never answers
@@ -44,7 +44,7 @@ def pictures(count: int) -> Image:
 def in_place_of_graph(monkeypatch: pytest.MonkeyPatch, wrong: float = 0.0) -> None:
     """A processor's recording: the calculation is made again, and its answers are put where the first ones are."""
 
-    def record(calculate: Callable[[], Tensor], device: torch.device) -> Recorded:
+    def record(calculate: Callable[[], Tensor], device: torch.device, calls_before: int) -> Recorded:
         answers = calculate().clone()
 
         def replay() -> None:
@@ -71,15 +71,6 @@ def test_a_recording_that_answers_otherwise_is_not_used(monkeypatch: pytest.Monk
     assert replayed_if_equal(calculate, SHAPE, CPU) is None
 
 
-@pytest.mark.parametrize("error", [RuntimeError("operation not permitted when stream is capturing"), TypeError()])
-def test_what_cannot_be_recorded_is_not_replayed(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
-    def record(calculate: Callable[[], Tensor], device: torch.device) -> Recorded:
-        raise error
-
-    monkeypatch.setattr(replayed, "record", record)
-    assert replayed_if_equal(calculate, SHAPE, CPU) is None
-
-
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_a_pilot_answers_alike_if_recorded(run: Path, monkeypatch: pytest.MonkeyPatch, precision: str) -> None:
     plain, pilot = (load_pilot(run, precision, "cpu") for _ in range(2))  # type: ignore[arg-type]
@@ -94,16 +85,6 @@ def test_a_pilot_answers_alike_if_recorded(run: Path, monkeypatch: pytest.Monkey
     assert pilot._replayed is not None
     assert [pilot.answer(crop) for crop in crops] == [plain.answer(crop) for crop in crops]
     assert pilot.predict(crops[0][:, ::-1]) == plain.predict(crops[0][:, ::-1])
-
-
-def test_a_pilot_on_the_processor_records_nothing(run: Path) -> None:
-    pilot = load_pilot(run, device="cpu")
-    threads = torch.get_num_threads()
-    try:
-        pilot.warm_up()
-    finally:
-        torch.set_num_threads(threads)
-    assert (pilot.device, pilot._replayed) == ("cpu", None)
 
 
 @pytest.mark.needs("no_gpu")

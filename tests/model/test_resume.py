@@ -22,18 +22,18 @@ from safetensors.numpy import load_file, save_file
 from common.location import local_path
 from common.stored_settings import settings_from
 from dataset import IndexConfig, Samples, build_index
-from disk import files_of_at_most
-from driving import Process, command
-from logs import write_log
 from model import Epoch, RunError, TrainConfig, find_run, train
 from model.cli import main
 from model.network.choice import choose_network
 from model.runs.training_progress import Step
 from recorder.upkeep.edit import rewrite
-from repository import HELPERS
-from toy import STEERING, TINY, road
-from udacity import call
-from waiting import wait_until
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, command
+from tests.helpers.logs import write_log
+from tests.helpers.repository import HELPERS
+from tests.helpers.toy import STEERING, TINY, road
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 
 # 5 batches an epoch: dropout, alterations, the mean of the weights and the scale of the answers must go on as well
 NETWORK = f"{HELPERS / 'dropout_network.py'}:DropoutNetwork"
@@ -121,10 +121,9 @@ def train_until_killed(
     train(index, run, CONFIG, killed, init=init, resume=Path(run).exists())
 
 
-TRAINING = f"""
+TRAINING = """
 import json, sys
-sys.path[:0] = {[str(HELPERS), str(Path(__file__).parent)]}
-from test_resume import train_until_killed
+from tests.model.test_resume import train_until_killed
 train_until_killed(*json.loads(sys.argv[1]))
 """
 
@@ -140,7 +139,7 @@ def train_killed(
     """Train from the beginning, or go on, in a process of its own, and be killed."""
     job = (str(index), str(run), None if init is None else str(init), at, checkpoint_s)
     line = [sys.executable, "-c", TRAINING, json.dumps(job)]
-    with Process(line, loads_pytorch=True) as training:
+    with Process(line) as training:
         assert training.join() == -signal.SIGKILL, "\n".join(training.stderr)
 
 
@@ -221,25 +220,6 @@ def test_a_training_killed_before_its_first_checkpoint_begins_again(
     assert call(main, "--resume", "run", "--runs", tmp_path) == 0
     assert "restarted from its seed: it was stopped before anything was saved" in capsys.readouterr().out
     assert_same(run, whole)
-
-
-def test_a_run_from_last_weights_begins_again_from_these(index: Path, whole: Path, tmp_path: Path) -> None:
-    """Wherever that run is kept."""
-    base = Path(shutil.copytree(whole, tmp_path / "elsewhere" / "base"))
-    config = replace(CONFIG, epochs=1)
-    train(index, tmp_path / "straight", config, init=base / "last")
-    train_killed(index, tmp_path / "killed", init=base / "last")
-    assert not list((tmp_path / "killed").rglob("*.safetensors"))
-    train(index, tmp_path / "killed", config, resume=True)
-    assert_same(tmp_path / "killed", tmp_path / "straight")
-
-
-def test_a_run_without_its_checkpoint_is_not_begun_again(index: Path, stopped: Path) -> None:
-    (stopped / "last" / "checkpoint.safetensors").unlink()
-    before = {path: path.read_bytes() for path in stopped.iterdir() if path.is_file()}
-    with pytest.raises(RunError, match=r"checkpoint\.safetensors: missing; .* --init \S*/stopped"):
-        train(index, stopped, resume=True)
-    assert {path: path.read_bytes() for path in stopped.iterdir() if path.is_file()} == before
 
 
 def test_a_run_goes_on_with_its_own_settings_only(index: Path, stopped: Path) -> None:
@@ -421,19 +401,10 @@ def test_a_run_goes_on_when_its_index_is_gone_or_elsewhere(
     shutil.rmtree("data/index")
     assert call(main, "--resume", "first", "--epochs", 3) == 0
     assert [line["epoch"] for line in metrics(Path("runs/first"))] == [1, 2, 3]
-    assert json.loads(Path("runs/first/config.json").read_text())["index"] == "../../data/index-first"
+    assert json.loads(Path("runs/first/config.json").read_text())["index"] == "../../index-first"
     assert call(main, "--name", "again", "--like", "first", "--epochs", 1) == 0
     assert not Path("index").exists()
     assert all("no pictures of how it went" in line for line in capsys.readouterr().err.splitlines())
-
-
-def test_a_name_that_is_taken_by_no_run_says_so(
-    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As of a training that was killed before its config was written."""
-    (tmp_path / "first").mkdir()
-    assert call(main, "--name", "first", "--index", index, "--runs", tmp_path) == 1
-    assert "first: exists already, and is not a run; give another --name, or remove it" in capsys.readouterr().err
 
 
 def test_like_builds_the_runs_own_index_again(

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,10 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from driving import run_code
-from model import RunError, evaluate, export_onnx, find_run, load_pilot, predict_log, train
-from model.evaluation.evaluate import evaluate_sessions
+from model import RunError, find_run, load_pilot
 from model.runs.run_arguments import new_run_name
 from model.runs.run_files import locked_for_training
-from model.runs.run_folder import create_run, find_any_run, load_config
-from toy import ONE, toy_index
+from model.runs.run_folder import create_run, find_any_run
 
 
 def edit(path: Path, **values: Any) -> None:
@@ -91,24 +87,6 @@ def test_a_damaged_run_is_a_run_error_that_names_the_file(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.usefixtures("exported_once")
-def test_a_run_of_a_hundred_thousand_logs_is_read(trained: Path, tmp_path: Path) -> None:
-    run = Path(shutil.copytree(trained, tmp_path / "first"))
-    edit(run / "config.json", index="x" * (160 << 20))  # as many bytes as their entries
-    assert load_config(run)["format"] == 4
-
-
-def test_places_may_be_given_as_text(trained: Path, tmp_path: Path) -> None:
-    index = toy_index(tmp_path)
-    run = str(train(str(index), str(tmp_path / "run"), ONE, init=str(trained)).run)
-    train(str(index), run, replace(ONE, epochs=2), resume=True)
-    assert evaluate(run, str(index)).measures.frames == evaluate(Path(run), index).measures.frames
-    log = str(tmp_path / "toy.mcap")
-    assert evaluate_sessions(run, [log]).measures.frames == len(predict_log(log, [run]).row) == 40
-    assert export_onnx(run, str(tmp_path / "run.onnx")) < 1e-4
-    assert load_pilot(str(find_run("run", str(tmp_path)))).run == "run"
-
-
 def test_trainings_that_begin_in_the_same_second_have_names_of_their_own() -> None:
     names = [new_run_name() for _ in range(14)]
     assert len(set(names)) == 14
@@ -133,10 +111,3 @@ def test_a_name_that_is_nearly_that_of_a_run_is_recognised(tmp_path: Path) -> No
             find("frist", tmp_path)
         with pytest.raises(RunError, match=r"; in \S+ are 2026-01-01_10-00-00, first, second$"):
             find("something else", tmp_path)
-
-
-def test_dir_of_a_package_shows_its_public_names_before_they_are_loaded() -> None:
-    code = "import dataset, drive, model, recorder, viz\n"
-    code += "for it in (dataset, drive, model, recorder, viz): print({*it.__all__, '__doc__'} <= {*dir(it)})"
-    done = run_code(code)
-    assert (done.returncode, done.stdout.split()) == (0, ["True"] * 5), done.stderr

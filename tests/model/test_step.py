@@ -18,12 +18,11 @@ from torch.nn import functional
 
 from model.adam import Adam
 from model.device import Machine
-from model.network.faster_layers import FasterLayers, pooled_convolution
+from model.network.faster_layers import FasterLayers
 from model.network.original import SteeringNetwork
+from model.network.replayed import record
 from model.network.small import SmallNetwork
-from model.training import training_steps
-from model.training.step import training_step
-from model.training.training_steps import TrainingSteps
+from model.training.step import TrainingSteps, training_step
 
 
 @functools.cache
@@ -128,30 +127,6 @@ def test_a_step_keeps_no_part_of_its_gradient_for_the_next(dtype: torch.dtype) -
     assert not any(node.metadata for node in nodes()), error
 
 
-@pytest.mark.parametrize(
-    ("channels", "kernel", "height", "width"), [(3, 5, 128, 128), (24, 5, 29, 62), (2, 3, 8, 5)]
-)
-def test_a_wide_convolution_is_a_convolution_and_its_pooling(
-    channels: int, kernel: int, height: int, width: int
-) -> None:
-    torch.manual_seed(4)
-    layer = nn.Conv2d(channels, 4, kernel)
-    inputs = torch.randn(2, channels, height, width, requires_grad=True)
-    expected, pooled = functional.max_pool2d(layer(inputs), 2), pooled_convolution(layer, inputs)
-    torch.testing.assert_close(pooled, expected)
-    weights = torch.randn_like(expected)
-    learnt = [inputs, *layer.parameters()]
-    gradients = [torch.autograd.grad((outputs * weights).sum(), learnt) for outputs in (pooled, expected)]
-    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
-
-
-def test_wide_convolutions_leave_no_other_pooling_out() -> None:
-    torch.manual_seed(4)
-    features = FasterLayers(nn.Conv2d(3, 4, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Conv2d(4, 5, 3))
-    inputs = torch.randn(2, 3, 12, 12)
-    torch.testing.assert_close(features.with_wider_convolutions(inputs), features(inputs))
-
-
 @pytest.mark.parametrize("pictures", [2, 0])  # none: no picture of a batch decodes
 def test_wide_convolutions_see_what_the_layers_of_the_network_see(pictures: int) -> None:
     torch.manual_seed(4)
@@ -168,7 +143,7 @@ def steps_taken(
     raises `error`."""
     recorded: list[Tensor] = []
 
-    def record(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
+    def recorded_step(calculate: Callable[[], Tensor], device: torch.device) -> tuple[Callable[[], None], Tensor]:
         assert device == machine.device
         result = torch.zeros(())
         recorded.append(result)
@@ -180,7 +155,7 @@ def steps_taken(
 
         return replay, result
 
-    monkeypatch.setattr(training_steps, "record", record)
+    monkeypatch.setattr("model.training.step.record", recorded_step)
     torch.manual_seed(5)
     network = SmallNetwork()
     machine = Machine(torch.device("cuda"), torch.float32, 4)
@@ -247,7 +222,11 @@ def test_a_step_is_recorded_on_the_gpu_that_trains(fails: bool, monkeypatch: pyt
     monkeypatch.setattr(torch.cuda, "graph_pool_handle", lambda: (0, 1))
     graphsafe = SimpleNamespace(clone_state=generator.get_state, graphsafe_set_state=generator.set_state)
     monkeypatch.setattr(torch.cuda, "default_generators", (graphsafe,))
-    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: stream[-1])
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device=None: stream[-1])
+    monkeypatch.setattr(torch.cuda, "Stream", lambda: SimpleNamespace(wait_stream=lambda stream: None))
+    monkeypatch.setattr(torch.cuda, "stream", lambda stream: contextlib.nullcontext())
+    monkeypatch.setattr(torch.cuda, "get_sync_debug_mode", lambda: 0)
+    monkeypatch.setattr(torch.cuda, "set_sync_debug_mode", lambda mode: None)
     monkeypatch.setattr(torch.cuda, "set_stream", stream.append)
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
     monkeypatch.setattr(torch._C, "_cuda_endAllocateToPool", lambda device, pool: None, raising=False)
@@ -255,9 +234,42 @@ def test_a_step_is_recorded_on_the_gpu_that_trains(fails: bool, monkeypatch: pyt
     monkeypatch.setattr(torch.cuda, "graph", graph)
     if fails:
         with pytest.raises(RuntimeError, match="not permitted"):
-            training_steps.record(calculate, torch.device("cuda:0"))
+            record(calculate, torch.device("cuda:0"))
     else:
-        assert float(training_steps.record(calculate, torch.device("cuda:0"))[1]) == 1
+        assert float(record(calculate, torch.device("cuda:0"))[1]) == 1
     assert (recording, current) == ([torch.device("cuda:0")], [torch.device("cuda:1")])
     assert (stream[-1], reset) == ("first", [True] * fails)
     assert torch.equal(generator.get_state(), drawn)
+
+
+def network() -> nn.Sequential:
+    """Two layers, and a third that no loss depends on."""
+    torch.manual_seed(3)
+    layers = nn.Sequential(nn.Conv2d(3, 4, 3), nn.Linear(6, 1), nn.Linear(2, 2))
+    layers.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return layers
+
+
+def loss_of(layers: nn.Sequential, step: int) -> torch.Tensor:
+    pictures = torch.sin(torch.arange(2 * 3 * 8 * 8) * (step + 1.0)).reshape(2, 3, 8, 8)
+    return functional.mse_loss(layers[1](torch.relu(layers[0](pictures))), torch.full((2, 4, 6, 1), 0.5))
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.needs("gpu"))])
+def test_weights_and_moments_are_those_of_pytorchs_own_bit_for_bit(device: str) -> None:
+    ours, theirs = network().to(device), network().to(device)
+    adam = Adam(ours.parameters(), 1e-2)
+    reference = torch.optim.Adam(theirs.parameters(), 1e-2, fused=device == "cuda")
+    for step in range(5):
+        for layers, optimizer in ((ours, adam), (theirs, reference)):
+            optimizer.zero_grad()
+            loss_of(layers, step).backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+    for parameter, other in zip(ours.parameters(), theirs.parameters(), strict=True):
+        assert torch.equal(parameter, other)
+        state, expected = adam.state.get(parameter, {}), reference.state.get(other, {})
+        assert state.keys() == expected.keys()
+        for name, tensor in state.items():
+            assert torch.equal(tensor, expected[name])
+            assert (tensor.stride(), tensor.dtype) == (expected[name].stride(), expected[name].dtype)
+            assert tensor.device == expected[name].device

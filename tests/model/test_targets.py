@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -18,23 +17,21 @@ from safetensors.numpy import load_file
 from torch import nn
 from torch.nn import functional
 
-from common.allowed_places import allow_places
 from common.car import Camera
-from dataset import DatasetError, IndexConfig, SamplesDataset, build_index, decode, load
+from dataset import IndexConfig, SamplesDataset, build_index, decode, load
 from dataset.prediction_targets import TargetName
 from model import RunError, TrainConfig, export_onnx, load_pilot, predict_log, train
 from model.adam import Adam
 from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions, evaluate_sessions
 from model.evaluation.run_comparison import Comparison
-from model.network.choice import choose_network
 from model.runs.history import read_history
 from model.runs.network_of_run import network_settings
 from model.runs.run_folder import load_config
 from model.training.step import training_step
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from toy import TINY
-from udacity import encode
+from tests.helpers.toy import TINY
+from tests.helpers.udacity import encode
 
 ROWS = 160
 STEP_S = 0.1
@@ -218,7 +215,6 @@ def before(index: Path, folder: Path) -> Path:
     metadata[b"bc.index"] = json.dumps(stored).encode()
     earlier = folder / "before"
     earlier.mkdir()
-    allow_places(index.parent)  # of its logs
     pq.write_table(table.replace_schema_metadata(metadata), earlier / "samples.parquet")
     return earlier
 
@@ -312,36 +308,6 @@ def test_a_training_like_its_own_has_its_targets_and_their_weights(folder: Path,
 # What cannot be
 
 
-def changed(index: Path, folder: Path, column: str, values: pa.Array) -> Path:
-    """The index, with another column."""
-    table = pq.read_table(index / "samples.parquet")
-    other = folder / column
-    other.mkdir()
-    metadata = dict(table.schema.metadata)
-    stored = json.loads(metadata[b"bc.index"])
-    for log in stored["logs"].values():
-        log["log"] = str((index / log["log"]).resolve())
-    table = table.set_column(table.schema.get_field_index(column), column, values)
-    pq.write_table(
-        table.replace_schema_metadata({b"bc.index": json.dumps(stored).encode()}), other / "samples.parquet"
-    )
-    return other
-
-
-def test_labels_that_are_none_are_damage_that_is_named(folder: Path, tmp_path: Path) -> None:
-    count = pq.read_metadata(folder / "index" / "samples.parquet").num_rows
-    for column, values in (
-        ("later_speed_mph", pa.array(["fast"] * count)),
-        ("throttle", pa.array([1e300] * count)),
-    ):
-        index = changed(folder / "index", tmp_path, column, values)
-        allow_places(folder)  # of its logs
-        with pytest.raises(DatasetError, match="damaged"):
-            train(index, tmp_path / "run", QUICK)
-        with pytest.raises(DatasetError, match="damaged"):
-            evaluate_runs([folder / "run"], index)
-
-
 def test_pedals_that_are_never_touched_were_not_told(tmp_path: Path) -> None:
     """As of a ROS bag, which has the steering alone."""
     with LogWriter(tmp_path / "bag.mcap", {"source": "test"}) as writer:
@@ -352,17 +318,6 @@ def test_pedals_that_are_never_touched_were_not_told(tmp_path: Path) -> None:
     build_index([tmp_path / "bag.mcap"], tmp_path / "index", SETTINGS)
     with pytest.raises(RunError, match="no session has a throttle"):
         train(tmp_path / "index", tmp_path / "run", replace(QUICK, targets=("steering", "throttle")))
-
-
-def test_settings_of_other_targets_than_its_networks_are_refused(folder: Path, tmp_path: Path) -> None:
-    run = shutil.copytree(folder / "run", tmp_path / "run")
-    config = json.loads((run / "config.json").read_text())
-    config["training"]["targets"] = ["steering", "speed"]
-    (run / "config.json").write_text(json.dumps(config))
-    with pytest.raises(
-        RunError, match="answers steering speed throttle, but its training settings are for steering speed"
-    ):
-        train(folder / "index", run, None, resume=True)
 
 
 def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Path, tmp_path: Path) -> None:
@@ -376,11 +331,6 @@ def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Pa
     with pytest.raises(RunError, match="no session has a speed"):
         train(tmp_path / "index", tmp_path / "none", settings)
     assert not (tmp_path / "none").exists()
-
-
-def test_an_index_of_the_version_before_has_no_labels_of_others(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"format 4, without labels of speed, throttle; run `bc-index` again"):
-        train(before(folder / "index", tmp_path), tmp_path / "run", QUICK)
 
 
 def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, tmp_path: Path) -> None:
@@ -407,31 +357,3 @@ def test_a_run_of_steering_alone_gives_no_weights_to_one_of_speed(folder: Path, 
 def test_what_makes_no_sense_is_refused(settings: dict[str, tuple[object, ...]], why: str) -> None:
     with pytest.raises(ValueError, match=why):
         TrainConfig(**settings)  # type: ignore[arg-type]
-
-
-OWN = """
-from torch import nn
-
-class Told(nn.Sequential):
-    def __init__(self, outputs=1):
-        super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, outputs))
-
-class Asks(nn.Sequential):
-    def __init__(self, outputs):
-        super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, outputs))
-
-class One(nn.Sequential):
-    def __init__(self):
-        super().__init__(nn.Flatten(), nn.Linear(3 * 128 * 128, 1))
-"""
-
-
-def test_ones_own_network_is_told_how_many_answers_are_wanted(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(OWN)
-    told = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Told"))
-    assert told.try_out(told.picture, torch.device("cpu")) == 3 * (3 * 128 * 128 + 1)
-    asks = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:Asks", targets=("steering",)))
-    assert asks.try_out(asks.picture, torch.device("cpu")) == 3 * 128 * 128 + 1
-    steers = choose_network(replace(QUICK, network=f"{tmp_path / 'own.py'}:One"))
-    with pytest.raises(RunError, match=r"expected one number for each and each target, \(2, 3\)"):
-        steers.try_out(steers.picture, torch.device("cpu"))

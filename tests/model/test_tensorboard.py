@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,11 @@ from typing import Any
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from disk import files_of_at_most
-from histories import epoch_line, step_lines, write_lines, write_run
 from model import RunError
 from model.runs.history import read_history
 from model.training.tensorboard import TensorBoard
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.histories import epoch_line, step_lines, write_lines, write_run
 
 
 def train(
@@ -72,13 +71,6 @@ def test_every_step_and_epoch_is_a_point_over_the_samples_learnt(tmp_path: Path)
     assert "correlation/zero" not in written(run).Tags()["scalars"]  # null: a constant has none
 
 
-def test_what_is_told_can_be_seen_at_once(tmp_path: Path) -> None:
-    run, board = tmp_path / "first", TensorBoard(tmp_path / "first")
-    train(run, [1], board, stop_after_step=1)
-    assert [at for at, _ in points(run, "loss/steps")] == [10 * 256]
-    board.close()
-
-
 def test_a_resumed_training_has_every_point_once(tmp_path: Path) -> None:
     """It was killed within epoch 3, after it had been told of a step; it goes on from the end of epoch 2."""
     run, killed = tmp_path / "first", TensorBoard(tmp_path / "first")
@@ -113,21 +105,6 @@ def test_without_held_out_frames_there_is_the_loss_alone(tmp_path: Path) -> None
     assert set(written(run).Tags()["scalars"]) == {"epoch", "loss/training", "loss/steps", "samples_per_s"}
 
 
-def test_without_tensorboard_the_error_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(RunError, match=r"`pip install .*\[tensorboard\].*`"):
-        TensorBoard(tmp_path)
-
-
-def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    run = write_run(tmp_path / "first", 1)
-    (run / "tensorboard").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RunError, match="tensorboard: a link"):
-        TensorBoard(run).epoch(read_history(run)[0].epochs[-1])
-    assert list((tmp_path / "elsewhere").iterdir()) == []
-
-
 def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path: Path) -> None:
     run, steps = tmp_path / "first", read_history(write_run(tmp_path / "whole", 1))[0].steps
     board = TensorBoard(run)
@@ -138,10 +115,3 @@ def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path: Path) -> N
             board.step(steps[1])
         board.close()
     assert [at for at, _ in points(run, "loss/steps")] == [steps[0].samples]
-
-
-def test_a_file_in_its_place_is_an_error_in_one_line(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "first", 1)
-    (run / "tensorboard").write_text("mine")
-    with pytest.raises(RunError, match="tensorboard: cannot be written"):
-        TensorBoard(run).epoch(read_history(run)[0].epochs[-1])

@@ -14,17 +14,17 @@ import pytest
 import torch
 
 from common.stored_settings import settings_from
-from dataset import DatasetError, IndexConfig, Loader, Samples, build_index, decode
+from dataset import IndexConfig, Loader, Samples, build_index, decode
 from dataset.cli import main as bc_index
 from dataset.preprocessing import Image
-from logs import plain_read, write_log
 from model import Epoch, RunError, TrainConfig, find_run, load_pilot, train
 from model.cli import main
 from model.network.choice import built_in
 from recorder import Log
-from repository import HELPERS
-from toy import SMALL, STEERING, road
-from udacity import call
+from tests.helpers.logs import plain_read, write_log
+from tests.helpers.repository import HELPERS
+from tests.helpers.toy import SMALL, STEERING, road
+from tests.helpers.udacity import call
 
 SETTINGS = replace(SMALL, rate=1e-3)  # the original's millions of weights: test_bc_train_builds_the_index_...
 
@@ -76,28 +76,6 @@ def test_a_short_recording_is_passed_more_often(samples: int, batch: int, passes
     assert TrainConfig(batch=batch, epochs=3).with_passes(samples).epochs == 3
 
 
-def test_a_run_keeps_the_passes_that_its_samples_needed(index: Path, tmp_path: Path) -> None:
-    settings, run = replace(SETTINGS, epochs=0, batch=1), tmp_path / "run"
-    with Samples(index) as samples:
-        expected = settings.with_passes(len(samples.rows_of_split("train")))
-    assert 1 < expected.epochs < 10
-    assert len(train(index, run, settings).epochs) == expected.epochs
-    assert settings_from(TrainConfig, json.loads((run / "config.json").read_text())["training"]) == expected
-    assert train(index, run, settings, resume=True).epochs == []
-
-
-def test_an_epoch_of_many_batches_has_no_more_steps_than_readers_take(
-    index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a billion samples an epoch, two would be more than `steps.jsonl` may hold."""
-    monkeypatch.setattr("model.training.loop.STEP_BATCHES", 1)
-    monkeypatch.setattr("model.training.loop.MAX_EPOCH_STEPS", 2)
-    train(index, tmp_path / "run", replace(SETTINGS, epochs=2, batch=6))
-    steps = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
-    assert [(step["epoch"], step["batch"]) for step in steps] == [(1, 3), (1, 5), (2, 3), (2, 5)]
-    assert steps[0]["batches"] == 5
-
-
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(
     trained: tuple[Path, list[Epoch]], index: Path, tmp_path: Path
 ) -> None:
@@ -134,12 +112,6 @@ def test_a_run_that_exists_is_refused_and_stays(trained: tuple[Path, list[Epoch]
     with pytest.raises(RunError, match="exists already"):
         train(index, run, SETTINGS)
     assert contents(run) == before
-
-
-def test_training_without_an_index_leaves_no_run(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="`bc-index "):
-        train(tmp_path / "index", tmp_path / "run", SETTINGS)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_bc_train_builds_the_index_and_prints_each_epoch(

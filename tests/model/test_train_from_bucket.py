@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from bucket import Bucket
 from common.errors import StoreError, UserError
 from dataset import DatasetError, IndexConfig, Samples, build_index
 from dataset.loader.loader import Loader, load
-from logs import write_log
 from model.training.trainer import train
 from recorder.log.kept_logs import bring_here
-from toy import SMALL, STEERING, road
+from tests.helpers.bucket import Bucket
+from tests.helpers.logs import write_log
+from tests.helpers.toy import SMALL, STEERING, road
 
 CONFIG = IndexConfig(flip=False, max_uses=1, block_s=0.5, gap_s=0)
 

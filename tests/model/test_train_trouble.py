@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
+import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,22 +15,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from common.car import Camera
 from common.process_settings import usable_cores
-from dataset import DatasetError, IndexConfig, build_index
-from disk import files_of_at_most
-from driving import PATIENCE_S, command, environment, one_line_in
-from logs import write_log
+from dataset import IndexConfig, build_index
 from model import RunError, load_pilot, train
 from model.cli import main
-from toy import ONE, SMALL, STEERING, road
-from udacity import call
+from model.errors import RunWriteError
+from model.runs.history import read_history
+from model.runs.run_files import run_write_errors
+from model.runs.training_progress import outcome_lines
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import one_line_in
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.toy import ONE, SMALL, STEERING, road, toy_index
+from tests.helpers.udacity import call
 
 
 def test_an_infinite_loss_ends_the_training_and_names_the_way_out(index: Path, tmp_path: Path) -> None:
@@ -70,36 +75,6 @@ def test_nothing_held_out_trains_all_the_same_and_keeps_the_last_epoch(tmp_path:
     assert [(epoch.is_best, math.isnan(epoch.validation_loss)) for epoch in trained.epochs] == [(True, True)] * 2
     line = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[1])
     assert (line["validation_loss"], line["validation"]["rmse_deg"], line["bins"]) == (None, None, [])
-
-
-@pytest.mark.parametrize(
-    ("bins", "balance"), [(-5, {}), (2**62, {}), (None, {"after": None}), (None, {"before": [-1] * 25})]
-)
-def test_bins_that_cannot_be_are_damage(
-    index: Path, tmp_path: Path, bins: int | None, balance: dict[str, object]
-) -> None:
-    shutil.copytree(index.parent, tmp_path / "toy")
-    path = tmp_path / "toy" / index.name / "samples.parquet"
-    samples = pq.read_table(path)
-    about = json.loads(samples.schema.metadata[b"bc.index"])
-    about["balance"].update(balance)
-    if bins is not None:
-        column = samples.schema.get_field_index("bin")
-        samples = samples.set_column(column, "bin", pa.array([bins] * len(samples)))
-    pq.write_table(samples.replace_schema_metadata({"bc.index": json.dumps(about)}), path)
-    with pytest.raises(DatasetError, match=r"samples\.parquet: damaged \(.*; remove it and run `bc-index`"):
-        train(path.parent, tmp_path / "run", replace(ONE, answers="natural"))
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit addresses")
-@pytest.mark.parametrize("megabytes", [500, pytest.param(700, marks=pytest.mark.long)])
-def test_too_little_memory_for_pytorch_is_a_line(index: Path, tmp_path: Path, megabytes: int) -> None:
-    line = command("bc-train", "--index", index, "--sessions", index.parent, "--runs", tmp_path, "--name", "a")
-    limited = ["bash", "-c", f'ulimit -v {megabytes * 1000}; exec "$@"', "bash", *line]
-    variables = {**environment(), "OPENBLAS_NUM_THREADS": "1"}  # each thread takes memory
-    done = subprocess.run(limited, env=variables, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
-    assert done.stderr.startswith("bc-train: not enough memory")
 
 
 def broken_at(*rows: int) -> Callable[[Camera, int], bytes]:
@@ -274,10 +249,70 @@ def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     assert not (tmp_path / "second").exists()
 
 
-@pytest.mark.parametrize("by", ["--ray", "torchrun"])
-def test_several_processes_are_refused(
-    by: str, index: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "2" if by == "torchrun" else "1")
-    assert call(main, "--index", index, *(["--ray", 2] if by == "--ray" else [])) == 2
-    assert "one training is one process" in capsys.readouterr().err
+def told(folder: Path, kept: int, *lines: dict[str, object]) -> list[str]:
+    folder.mkdir(exist_ok=True)
+    write_lines(folder / "metrics.jsonl", lines)
+    history, skipped = read_history(folder)
+    assert not len(skipped)
+    return outcome_lines(history.epochs, kept)
+
+
+def line(
+    epoch: int, rmse_deg: float, balanced_deg: float, mean_balanced_deg: float | None = 9.0
+) -> dict[str, object]:
+    """An epoch whose one bin has the balanced RMSE; always the mean has an RMSE of 4.5."""
+    made = epoch_line(epoch)
+    made["validation"] |= {"rmse_deg": rmse_deg}
+    made["bins"] = [made["bins"][0] | {"frames": 100, "rmse_deg": balanced_deg}]
+    if mean_balanced_deg is not None:
+        made["mean"] |= {"balanced_rmse_deg": mean_balanced_deg}
+    return made
+
+
+def test_why_the_kept_epoch_is_not_that_of_the_least_rmse(tmp_path: Path) -> None:
+    epochs = [line(1, 3.0, 5.0), line(2, 2.5, 6.0), line(3, 4.0, 7.0)]
+    (line_of_epochs,) = told(tmp_path / "a", 1, *epochs)
+    assert line_of_epochs.startswith(
+        "epoch 1 is kept for its balanced RMSE (5.00 against 6.00) and not epoch 2 for its RMSE"
+        " (2.50 against 3.00)"
+    )
+    assert told(tmp_path / "b", 2, line(1, 3.0, 6.0), line(2, 2.5, 5.0)) == []  # it has both
+
+
+def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    index = toy_index(tmp_path)
+    places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
+    settings = ["--network", "small", "--epochs", 2, "--batch", 8, "--rate", 1e-4, "--threads", 1]
+    assert call(main, "--name", "first", *settings, *places) == 0
+    *_, of_scale, _, verdict, advice = capsys.readouterr().out.splitlines()
+    epochs = [
+        json.loads(line) for line in (tmp_path / "runs" / "first" / "metrics.jsonl").read_text().splitlines()
+    ]
+    best = min(epochs, key=driving_error)
+    assert f"on turns ({best['validation']['turning_mae_deg']:.2f} against" in verdict
+    assert f"driving error ({driving_error(best):.2f} against 2.00)" in verdict
+    assert advice.startswith("next: `")
+    answers = best["answers"]["scale"], 25 * best["answers"]["offset"]
+    scale, curve, *others = [float(number) for number in re.findall(r"[+-]?\d+\.\d+", of_scale)]
+    assert curve == pytest.approx(best["answers"]["curve"] / 25, abs=0.0006)
+    expected = [*answers, best["validation"]["rmse_deg"], best["learnt"]["rmse_deg"]]
+    assert [scale, *others] == pytest.approx(expected, abs=0.006)
+
+
+def driving_error(epoch: dict[str, Any]) -> float:
+    share: float = epoch["balanced_rmse_deg"] / epoch["mean"]["balanced_rmse_deg"]
+    return share + 1 - (epoch["validation"]["correlation"] or 0.0)
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENOSPC, "make room"),
+        (errno.EROFS, "choose a folder that you may write to"),
+        (errno.EISDIR, "check the folder"),
+    ],
+)
+def test_a_run_that_cannot_be_written_names_the_cause_and_its_remedy(number: int, remedy: str) -> None:
+    with pytest.raises(RunWriteError) as raised, run_write_errors(Path("runs/a")):
+        raise OSError(number, os.strerror(number))
+    assert str(raised.value) == f"runs/a: cannot be written ({os.strerror(number)}); {remedy}"

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from dataset import IndexConfig, build_index
-from driving import PATIENCE_S, environment, road_jpeg
-from logs import write_log
+from tests.helpers.driving import PATIENCE_S, environment, road_jpeg
+from tests.helpers.logs import write_log
 
 NEEDED = ("torch", "numpy", "opencv-python-headless", "pyarrow", "safetensors", "mcap", "msgspec", "rich", "tyro")
 OURS = "behavioural-cloning-toolkit"

@@ -12,14 +12,14 @@ import pytest
 from dataset.cli import main as bc_index
 from drive.driven_car import other_steering
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import road_jpeg
-from logs import write_log
 from model.cli import main as bc_train
 from model.runs.history import read_history
 from recorder import Log
 from recorder.log.session_car import Car, known_max_steering_deg
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 pytestmark = pytest.mark.usefixtures("exported_once")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -15,19 +14,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from driving import untrained_run
-from histories import epoch_line
-from model import Advice, RunError, Verdict, judge
+from model import RunError, Verdict, judge
 from model.metrics import Measures, measure
-from model.runs.advice import RULES, advice
+from model.runs.advice import advice
 from model.runs.answer_scale import AnswerScale
-from model.runs.enough_to_drive import EDGES, ON_ONE, STUDY, Hand, drivable, wilson_interval
+from model.runs.enough_to_drive import EDGES, ON_ONE, STUDY, Hand, drivable
 from model.runs.kept_results import keep_result
 from model.runs.run_numbers import RunNumbers, run_numbers
 from model.runs.training_progress import Epoch
 from model.runs.verdict import verdict_of
 from recorder.log.session_car import BUILT_IN
-from repository import ROOT
+from tests.helpers.driving import untrained_run
+from tests.helpers.histories import epoch_line
+from tests.helpers.repository import ROOT
 
 ERROR = "balanced RMSE and correlation"
 """The study's name of the driving error."""
@@ -189,14 +188,6 @@ def test_the_counts_are_those_of_the_study() -> None:
         assert ON_ONE[hand] == (round(min(has_left), 2), round(max(has_stayed), 2))
 
 
-def test_wilsons_interval() -> None:
-    """As in Wilson's formula worked out by hand for 0 of 10: z² / (n + z²)."""
-    low, high = wilson_interval(0, 10)
-    assert (low, high) == pytest.approx((0.0, 1.96**2 / (10 + 1.96**2)))
-    low, high = wilson_interval(15, 24)
-    assert low < 15 / 24 < high
-
-
 def a_session(**labels: Any) -> dict[str, Any]:
     return {"a": labels, "b": sound()["data"]["labels"]["b"]}
 
@@ -302,13 +293,6 @@ def test_each_rule_names_its_numbers_and_a_command(run: RunNumbers, why: str, co
     assert advised.command == command
 
 
-@pytest.mark.parametrize("batch", [0, -5, "many"])
-def test_a_batch_that_no_training_has_ends_no_command(batch: object) -> None:
-    """The config of a run from elsewhere may hold anything."""
-    run = numbers(sound() | {"training": {"epochs": 2, "batch": batch}}, WEAK[:2])
-    assert advice(run).why.startswith("2 epochs of 39 steps")
-
-
 @pytest.mark.parametrize(("frames", "is_advised"), [(100, False), (299, False), (300, True)])
 def test_natural_answers_are_judged_on_enough_frames(frames: int, is_advised: bool) -> None:
     weak = [replace(of, measures=measured(0.35, np.linspace(-0.6, 0.6, frames))) for of in WEAK]
@@ -337,40 +321,6 @@ def test_epochs_are_advised_before_rows_also_of_few_turns() -> None:
     assert advice(numbers(hardly_any, improving)).command == "bc-train --resume first --epochs 10"
 
 
-def test_the_rules_have_an_end() -> None:
-    """The last one always has an advice, also of a run of which nothing is known."""
-    empty = run_numbers(Path("runs/first"), {}, [])
-    why = "nothing of it is measured yet; a drive shows how good it is"
-    assert RULES[-1](empty) == Advice(why, "bc-drive first")
-    assert RULES[-1](run_numbers(Path("runs/first"), sound(), [])) == Advice(
-        why, "bc-eval first --simulator lake mountain"
-    )
-    assert verdict_of(empty).summary == "nothing was held out, so its error is unknown"
-
-
-def test_a_finished_training_whose_history_lacks_epochs_is_finished() -> None:
-    """A very long training removes every second line of its history; and a line may be broken."""
-    lacking = WEAK[1::2]
-    assert len(lacking) == 5
-    assert verdict_of(numbers(epochs=lacking)).advice == verdict_of(numbers(epochs=WEAK)).advice
-
-
-def test_before_the_first_epoch_frames_are_held_out_but_not_measured() -> None:
-    verdict = verdict_of(numbers(epochs=[]))
-    assert verdict.summary == "no epoch has ended, so its error is unknown"
-    assert verdict.advice == Advice("stopped after 0 of 10 epochs", "bc-train --resume first")
-
-
-def test_what_strangers_have_written_is_quoted_and_survived() -> None:
-    """A command is pasted into a shell."""
-    worst = {"track": "x; rm -rf ~", "set_speed_mph": 10.0, "interventions": 3}
-    assert shlex.split(advice(numbers(drives=(worst,))).command)[3] == "x; rm -rf ~"
-    evil = sound(labels={"$(rm)": {"habits": {"kind": "none"}}}, logs={"$(rm)": {"log": "../a b/$(rm).mcap"}})
-    assert shlex.split(advice(numbers(evil)).command)[2:] == ["a b/$(rm).mcap"]
-    for nonsense in ({"data": 3, "training": [], "index": {}}, {"data": {"labels": {"a": 3}}, "index": None}):
-        assert run_numbers(Path("runs/first"), nonsense, ENDED).measured
-
-
 def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs" / "first", lambda line: line)
     assert isinstance(judge(run), Verdict)
@@ -395,16 +345,6 @@ def test_a_part_of_a_lap_is_no_driven_track(laps: tuple[float, ...], said: str) 
         for number, of_drive in enumerate(laps)
     )
     assert f"{said} with 0 interventions" in verdict_of(numbers(drives=drives)).summary
-
-
-def test_a_clean_part_of_a_lap_shows_no_more_than_the_errors() -> None:
-    part = {"track": "lake", "set_speed_mph": 10.0, "interventions": 0}
-    for laps, in_short, track in ((0.02, "perhaps", "lake"), (1.0, "drives", "random:1")):
-        run = numbers(epochs=ENDED, drives=({**part, "laps": laps},))
-        assert verdict_of(run).in_short == in_short
-        assert advice(run).command.split()[:4] == ["bc-eval", "first", "--simulator", track]
-    failed = {**part, "laps": 0.02, "interventions": 1}
-    assert verdict_of(numbers(epochs=ENDED, drives=(failed,))).in_short == "leaves the road"
 
 
 def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) -> None:

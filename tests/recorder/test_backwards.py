@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from recorder.rows.odd_stretches import odd_stretches
-from recorder.rows.row_quality import States, row_flags
+from recorder.rows.row_quality import States
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.roads.track import load_track
@@ -53,7 +53,7 @@ THERE_AND_BACK = [(1.0, 3.0), (-1.0, 8.0), (0.0, 1.0), (1.0, 4.0)]
 def test_what_was_driven_backwards_is_found_without_a_sign_of_speed() -> None:
     driven = pedals("lake", THERE_AND_BACK)
     truth = np.array(driven.speed_mph) < -0.5
-    backwards = row_flags(driven.states)["backwards"]
+    backwards = driven.states.flags["backwards"]
     assert truth.sum() > 30
     assert (backwards != truth).sum() <= 3  # where it stands
 
@@ -75,4 +75,4 @@ def test_nothing_of_a_fast_expert_is_odd(track: str) -> None:
 def test_braking_and_rolling_on_hills_is_not_driving_backwards(start: float) -> None:
     driven = pedals("mountain", [(1.0, 3.0), (0.0, 3.0), (1.0, 3.0), (-0.3, 1.0), (1.0, 2.0)], start)
     assert min(driven.speed_mph) >= -0.5
-    assert not row_flags(driven.states)["backwards"].any()
+    assert not driven.states.flags["backwards"].any()

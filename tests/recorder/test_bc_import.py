@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from driving import one_line_in
-from recorded_formats import as_csv, as_mcap, as_udacity
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
-from udacity import call, jpeg
+from tests.helpers.driving import one_line_in
+from tests.helpers.recorded_formats import as_csv, as_mcap, as_udacity
+from tests.helpers.udacity import call, jpeg
 
 ROWS = [(number / 20, (number % 5 - 2) / 10, jpeg(60 + number)) for number in range(12)]
 

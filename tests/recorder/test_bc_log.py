@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,20 +13,17 @@ import cv2
 import numpy as np
 import pytest
 
-from bytes_read import count_bytes, note_reads
 from common.location import Location
-from disk import files_of_at_most
-from driving import PATIENCE_S, command, environment, one_line_in, run
-from logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
-from places import Place
-from plain_mcap import contents, plain_writer
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.check_contents import Finding
-from recorder.upkeep.log_info import describe
-from udacity import call, jpeg, picture
+from tests.helpers.driving import PATIENCE_S, command, environment, one_line_in
+from tests.helpers.logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
+from tests.helpers.places import Place
+from tests.helpers.plain_mcap import contents, plain_writer
+from tests.helpers.udacity import call, jpeg, picture
 
 
 def log_with(path: Path, rows: list[tuple[float, float, float, bytes | None]]) -> Path:
@@ -287,18 +283,6 @@ def test_a_tag_that_is_not_there_is_not_removed(
     assert said in one_line_in(capsys)
 
 
-def test_a_link_that_leads_nowhere_is_not_meant_itself(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("sessions").mkdir()
-    Path("sessions/dead.mcap").symlink_to("gone.mcap")
-    assert call(main, "info", "sessions/dead.mcap") == 1
-    said = capsys.readouterr().err
-    assert "it is a link to a file that is not there" in said
-    assert "did you mean" not in said
-
-
 @pytest.mark.parametrize(
     ("line", "says"),
     [
@@ -427,13 +411,6 @@ def test_a_new_tag_is_said_with_what_may_have_been_meant(
     assert "did you mean recovery?" in capsys.readouterr().err
 
 
-def test_a_tag_that_cannot_be_kept_is_not_called_new(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
-    with files_of_at_most(10):
-        assert call(main, "tag", path, "recovery", "--rows", 1, 2) == 1
-    assert "new tag" not in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("answer", ["y", "n"])
 def test_a_terminal_is_asked_back(tmp_path: Path, answer: str) -> None:
     pty = pytest.importorskip("pty")
@@ -489,13 +466,6 @@ def test_pictures_of_several_sizes_are_told(tmp_path: Path, capsys: pytest.Captu
     assert info_of(tmp_path / "c.mcap", capsys)["picture_sizes"] == {}
 
 
-def test_one_is_not_said_as_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = log_with(tmp_path / "a.mcap", [(0.0, 0.1, 0.0, jpeg(50))])
-    for line in (["check", path], ["info", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 1]):
-        assert call(main, *line) == 0
-        assert not re.search(r"\b1 (drives|rows|messages|pictures|findings)\b", capsys.readouterr().out)
-
-
 def test_a_log_without_any_picture_is_found(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, cameras=())
     assert found_in(path) == [("stretches of rows without a picture", "/camera/center rows 0 to 4")]
@@ -512,15 +482,6 @@ def test_one_log_that_cannot_be_read_does_not_hide_the_others(
         assert "none.mcap: cannot be opened" in said.err
 
 
-def test_a_log_that_is_merged_with_itself_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, other = (write_log(tmp_path / name, [0.1] * 5) for name in ("a.mcap", "b.mcap"))
-    link = tmp_path / "link.mcap"
-    link.symlink_to(path)
-    assert call(main, "merge", path, other, link, "--to", tmp_path / "c.mcap") == 0
-    repeated = [line for line in capsys.readouterr().err.splitlines() if "more than once" in line]
-    assert [line.partition(":")[0] for line in repeated] == [str(link)]
-
-
 def test_merged_drives_have_the_rate_at_which_they_were_driven(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -532,24 +493,6 @@ def test_merged_drives_have_the_rate_at_which_they_were_driven(
     assert {topic["per_second"] for topic in told["topics"]} == {42 / 4.0}
     call(main, "info", tmp_path / "b.mcap")
     assert "2.0 to 0.0 s (time goes back)" in capsys.readouterr().out
-
-
-def test_what_another_program_wrote_moves_no_cursor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / ":car:.mcap"
-    with plain_writer(path) as writer:
-        writer.add_metadata("bc.session", {"driver": "x\x1b[2J\x1b]0;y\x07", "[red]": "a\nb"})
-        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
-        channel = writer.register_channel("/camera/center", "json", schema)
-        writer.add_message(channel, 5, b'{"data": ""}', 5)
-    assert call(main, "info", path) == 0
-    out = capsys.readouterr().out
-    assert "\x1b" not in out
-    assert ":car:.mcap" in out.replace("\n", "")  # wherever its line is wrapped
-    assert r"[red]: a\nb" in out
-    assert "written by another program" in out
-    told = info_of(path, capsys)
-    assert (told["drives"], told["flags"], told["driven_s"]) == (None, None, None)
-    assert found_in(path) == []
 
 
 @pytest.mark.parametrize("stretches", ["[1", '[["gap", 1, 2, NaN, Infinity]]', '[["gap", 1e400, 2, 0, 1]]', "{}"])
@@ -567,15 +510,6 @@ def test_info_is_valid_json_whatever_a_log_says_of_itself(
 
     told = json.loads(capsys.readouterr().out, parse_constant=refuse)
     assert (told["stretches"], told["driven_s"]) == ([], None)
-
-
-def test_names_of_any_file_system_can_be_printed(tmp_path: Path) -> None:
-    path = tmp_path / os.fsdecode(b"caf\xe9.mcap")
-    write_log(path, [0.1] * 5, picture)
-    for line in (["info", path], ["trim", path, "--to", tmp_path / "b.mcap", "--end", 0.2]):
-        done = run("bc-log", *line)
-        assert done.returncode == 0, done.stderr
-        assert "Traceback" not in done.stderr
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit addresses")
@@ -615,14 +549,3 @@ def test_what_is_no_log_is_told_with_the_next_command(tmp_path: Path, capsys: py
     (tmp_path / "junk.mcap").write_text("junk")
     assert call(main, "info", tmp_path / "junk.mcap") == 1
     assert "`bc-log ls`" in capsys.readouterr().err
-
-
-def test_metadata_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another program's log may have a million keys, which take seconds."""
-    path = tmp_path / "a.mcap"
-    with plain_writer(path) as writer:
-        writer.add_message(writer.register_channel("/a", "text", 0), START_NS, b"", START_NS)
-        writer.add_metadata("bc.session", {f"key {number}": "value" for number in range(100_000)})
-    read = note_reads(monkeypatch)
-    assert len(describe(path).session) == 100_000
-    assert count_bytes(read) < 1.1 * path.stat().st_size

@@ -11,12 +11,12 @@ from typing import Final
 
 import pytest
 
-from logs import read_messages
-from recorded_formats import COLUMNS, FORMATS, Row, as_csv, as_mcap, as_udacity
 from recorder import Imported, RecordingError
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import ImportSettings
-from udacity import jpeg, paths
+from tests.helpers.logs import read_messages
+from tests.helpers.recorded_formats import COLUMNS, FORMATS, Row, as_csv, as_mcap, as_udacity
+from tests.helpers.udacity import jpeg, paths
 
 ALL: Final = tuple(FORMATS)
 TIMED: Final = ALL[:-1]  # LeRobot's episodes have frames, and their times
@@ -145,7 +145,7 @@ def test_times_in_another_unit_are_asked_about_and_the_flag_mends_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_as: Make, unit: str, factor: float
 ) -> None:
     """A csv says seconds and has milliseconds; a log says nanoseconds and has micro- or milliseconds."""
-    monkeypatch.setattr("other_logs.START_NS", 0)
+    monkeypatch.setattr("tests.helpers.other_logs.START_NS", 0)
     per_unit = factor if made_as is as_csv else factor / 1e9
     rows = [(time_s * per_unit, steering, picture) for time_s, steering, picture in ROWS]
     asked = imported(made_as(tmp_path / "a", rows))
@@ -232,7 +232,7 @@ def test_calendars_of_other_countries(tmp_path: Path, date: str, starts_in: int)
 
 @pytest.mark.parametrize(("age_s", "kept"), [(1.0, 21), (2.0, 31)])
 def test_a_command_stays_in_force_as_long_as_it_is_told(tmp_path: Path, age_s: float, kept: int) -> None:
-    from other_logs import CAMERA, WHEEL, angle, image, write_mcap
+    from tests.helpers.other_logs import CAMERA, WHEEL, angle, image, write_mcap
 
     told = [(WHEEL, 0.0, angle(0.5)), *((CAMERA, number / 20, image(ROWS[0][2])) for number in range(31))]
     source = write_mcap(tmp_path / "sparse.mcap", told)
@@ -241,7 +241,7 @@ def test_a_command_stays_in_force_as_long_as_it_is_told(tmp_path: Path, age_s: f
 
 
 def test_side_cameras_of_a_log(tmp_path: Path) -> None:
-    from other_logs import CAMERA, WHEEL, angle, image, write_mcap
+    from tests.helpers.other_logs import CAMERA, WHEEL, angle, image, write_mcap
 
     told = [
         message

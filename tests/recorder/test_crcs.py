@@ -19,12 +19,7 @@ from common.car import CAMERAS
 from dataset.cli import main as bc_index
 from dataset.loader.log_crops import LogCrops
 from drive.evaluation.eval_cli import main as bc_eval
-from driving import untrained_run
-from layouts import mixed
-from logs import START_NS, STEP_NS, write_log
 from model.cli import main as bc_train
-from other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
-from plain_mcap import by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.import_cli import main as bc_import
@@ -32,9 +27,13 @@ from recorder.log_cli import main as bc_log
 from recorder.topics import ROW_TOPICS, VEHICLE
 from recorder.upkeep.check import check, is_whole
 from recorder.upkeep.edit import merge, split, trim, trim_times
-from recorder.upkeep.log_info import describe
 from recorder.upkeep.recover import recover
-from udacity import call, jpeg, picture
+from tests.helpers.driving import untrained_run
+from tests.helpers.layouts import mixed
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.other_logs import CAMERA, DRIVE, PICTURES, TOPICS, write_mcap
+from tests.helpers.plain_mcap import by_topic, contents, plain_writer, write_plain
+from tests.helpers.udacity import call, jpeg, picture
 from viz.cli import main as bc_play
 
 DATA_END = 0x0F
@@ -207,42 +206,6 @@ def test_recovering_gives_it_no_new_crc(whole: Path, forged: Path, damaged: str,
     assert contents(written.path).by_topic == by_topic(kept)
 
 
-def test_a_killed_recording_is_read_without_it(forged: Path, damaged: str, tmp_path: Path) -> None:
-    start, end = place_of_chunk(forged, DAMAGED[damaged])
-    part = tmp_path / "a.mcap.0a1b2c.part"
-    part.write_bytes(forged.read_bytes()[: place_of_chunk(forged, -1)[1]])
-    with Log(part) as log:
-        assert start not in [chunk.start for chunk in log.chunks]
-        assert any(lost_from <= start and end <= lost_to for lost_from, lost_to in log.lost)
-        assert len(log.frames())
-        rows = log.vehicle()["steering"].to_pylist() if "/vehicle" in log.counts else []
-    told = {topic.topic: topic.messages for topic in describe(part).topics}
-    assert told.get("/vehicle", 0) == len(rows)
-    assert set(rows) <= {0.0, 0.25}
-
-
-def test_the_summary_and_attachments_have_one_too(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5)
-    data = bytearray(path.read_bytes())
-    data[-12:-8] = bytes(4)  # of the summary, before the magic bytes
-    data[data.rindex(b"/camera/right") + 8] ^= 1
-    path.write_bytes(data)
-    with Log(path) as log:
-        assert "damaged" in log.problem
-        assert {channel.topic for channel in log.channels.values()} >= {"/camera/right"}
-
-    other = write_mcap(tmp_path / "other.mcap", DRIVE)
-    with_note = tmp_path / "note.mcap"
-    add_attachment(other, b"hello")
-    recover(other, with_note)
-    note = bytearray(with_note.read_bytes())
-    at = note.index(b"hello")
-    note[at], note[at + 5 : at + 9] = ord("j"), bytes(4)
-    with_note.write_bytes(note)
-    with Log(with_note) as log, pytest.raises(LogError, match="CRC"):
-        log.attachment(log.attachments[0])
-
-
 def without_data_crc(path: Path) -> Path:
     data = bytearray(path.read_bytes())
     (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
@@ -275,28 +238,6 @@ def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) 
             writer.add_message(state, row * 10**8, data, row * 10**8, row)
     assert check(path).findings == []
     assert is_whole(path)
-
-
-def add_attachment(path: Path, content: bytes) -> None:
-    """Before the end of the data, of which this file's writer keeps no CRC; the end itself then makes no sense."""
-    data = path.read_bytes()
-    end = data.index(struct.pack("<BQI", 15, 4, 0))
-    body = struct.pack("<QQIIQ", 1, 1, 0, 0, len(content)) + content
-    path.write_bytes(data[:end] + struct.pack("<BQ", 9, len(body) + 4) + body + bytes(4) + data[end:])
-
-
-def test_a_message_outside_of_chunks_is_none_of_ours(tmp_path: Path) -> None:
-    """No CRC covers it."""
-    path = write_plain(tmp_path / "a.mcap", CompressionType.NONE, range(3), use_chunking=False)
-    with Log(path) as log:
-        assert len(log.frames()) == 3
-    data = path.read_bytes()
-    (length,) = struct.unpack_from("<Q", data, 9)
-    ours = struct.pack("<BQ", 1, 10) + struct.pack("<I", 2) + b"bc" + bytes(4)
-    path.write_bytes(data[:8] + ours + data[17 + length :])
-    with Log(path) as log:
-        assert log.lost
-        assert len(log.frames()) == 0
 
 
 # Other programs' logs
@@ -339,16 +280,6 @@ def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixt
     assert WITHOUT not in capsys.readouterr().err
 
 
-def test_who_follows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Once, at its end, whatever was found until then."""
-    part = tmp_path / "other.mcap.ab12cd.part"
-    whole = without_crcs(tmp_path / "other.mcap")
-    part.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])
-    whole.unlink()
-    assert call(bc_play, part, "--follow", "--save", tmp_path / "a.rrd") == 3  # it was never finished
-    assert capsys.readouterr().err.count(WITHOUT) == 1
-
-
 def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -357,20 +288,6 @@ def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
     for _ in range(2):  # the second time it is not read
         assert call(bc_index, *line) == 0
         assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
-
-
-def test_a_training_and_an_evaluation_that_index_such_a_log_say_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "sessions").mkdir()
-    path = without_crcs(tmp_path / "sessions" / "other.mcap")
-    places = ["--sessions", tmp_path / "sessions", "--index", tmp_path / "index"]
-    flags = ["--network", "small", "--epochs", 1, "--runs", tmp_path / "runs"]
-    assert call(bc_train, *flags, *places) == 3  # too short to hold a frame out
-    assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
-    run_folder = untrained_run(tmp_path / "untrained")
-    call(bc_eval, run_folder, "--session", path)
-    assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
 
 
 def test_an_import_of_such_a_log_says_so_and_its_log_too(

@@ -9,7 +9,6 @@ No CRC covers the messages of a file without chunks, which only other programs w
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import struct
 import tracemalloc
@@ -24,18 +23,17 @@ import zstandard
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.writer import CompressionType
 
-from bytes_read import count_bytes, note_reads
 from common import UserError
-from layouts import Layout, mixed, two_kinds
-from logs import write_log
-from plain_mcap import Contents, Stored, contents, write_plain
 from recorder import Log, LogError
 from recorder.bc_pb2 import VehicleState
-from recorder.mcap.mcap_file import unpack
 from recorder.topics import VEHICLE
 from recorder.upkeep.check import check
 from recorder.upkeep.derived_log import LAST_ROW
 from recorder.upkeep.recover import recover
+from tests.helpers.bytes_read import count_bytes, note_reads
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import write_log
+from tests.helpers.plain_mcap import Contents, Stored, contents, write_plain
 
 MAGIC_BYTES = 8
 MASKS = (0xFF, 0x01)
@@ -296,52 +294,6 @@ def test_a_chunk_whose_header_alone_is_damaged_is_recovered(whole: Path, is_kill
     assert complaints == []
 
 
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
-def test_compressed_chunks_are_recovered_too(tmp_path: Path, compression: CompressionType) -> None:
-    path = write_plain(tmp_path / "whole.mcap", compression, range(3))
-    original, data = contents(path), path.read_bytes()
-    chunk = original.chunks[0]
-    damaged, to = path.with_name("damaged.mcap"), path.with_name("recovered.mcap")
-    for at in {*range(HEADER_BYTES + len(compression.name))} - {*CRC_BYTES}:
-        position = chunk.start + at
-        damaged.write_bytes(data[:position] + bytes([data[position] ^ 0x41]) + data[position + 1 :])
-        recover(damaged, to, overwrite=True)
-        assert contents(to).by_topic == original.by_topic, at
-
-
-def of_lengths(path: Path, lengths: list[int]) -> Path:
-    """A log with a picture of each length."""
-    steering = [row / 100 for row in range(len(lengths))]
-    return write_log(path, steering, lambda _, row: bytes([row]) * lengths[row], cameras=("center",))
-
-
-@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
-def test_chunks_that_have_changed_places_are_all_kept_and_named(
-    tmp_path: Path, layout: Layout, is_killed: bool
-) -> None:
-    """Where they are not of one length, what is between them has moved, too."""
-    whole = layout(of_lengths(tmp_path / "whole.mcap", [50, 90, 40, 20, 70, 70, 30, 60]))
-    original, data = contents(whole), whole.read_bytes()
-    chunks = original.chunks
-    damaged, to = whole.with_name("damaged.mcap"), whole.with_name("recovered.mcap")
-    for i, j in itertools.combinations(range(len(chunks)), 2):
-        first, second = chunks[i], chunks[j]
-        parts = [
-            (0, first.start),
-            (second.start, second.end),
-            (first.end, second.start),
-            (first.start, first.end),
-            (second.end, None),
-        ]
-        swapped = b"".join(data[start:end] for start, end in parts)
-        damaged.write_bytes(swapped[: chunks[-1].end] if is_killed else swapped)
-        written = recover(damaged, to, overwrite=True)
-        assert set(contents(to).messages) == set(original.messages), (i, j)
-        topics = [{message.topic for message in chunk.messages} for chunk in (first, second)]
-        if topics[0] & topics[1]:
-            assert "chunks out of order" in written.notices[0], (i, j)
-
-
 @pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
 def test_a_chunk_that_is_there_twice_is_named(whole: Path, is_killed: bool) -> None:
     original, data = contents(whole), whole.read_bytes()
@@ -415,32 +367,6 @@ def test_a_record_that_lies_about_its_length_takes_no_memory(
         assert log.lost == [(complete.end, path.stat().st_size)]
 
 
-def test_a_footer_that_points_far_back_takes_no_memory(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A summary of the size of the file is none."""
-    for module in ("mcap_file", "scan"):
-        monkeypatch.setattr(f"recorder.mcap.{module}.MAX_RECORD_BYTES", 1 << 20)
-    path = whole.with_name("damaged.mcap")
-    footer = struct.pack("<BQQQI", 2, 20, MAGIC_BYTES, 0, 1) + b"\x89MCAP0\r\n"
-    path.write_bytes(whole.read_bytes()[: contents(whole).chunks[-1].end])
-    with path.open("rb+") as stream:
-        stream.seek(1 << 24)
-        stream.write(footer)
-    assert peak_bytes_of_reading(path) < 1 << 22
-    assert given_out(path) == recorded_in(contents(whole).messages)
-
-
-def test_a_summary_with_a_bomb_in_it_is_not_unpacked(whole: Path) -> None:
-    zeros = bytes(1 << 26)
-    bomb = chunk(zeros, size=len(zeros), compression=b"zstd", stored=zstandard.compress(zeros))
-    del zeros
-    data = whole.read_bytes()
-    start = struct.unpack_from("<Q", data, len(data) - MAGIC_BYTES - 20)[0]
-    footer = struct.pack("<BQQQI", 2, 20, start, 0, 0) + b"\x89MCAP0\r\n"  # a CRC of 0: none
-    path = whole.with_name("damaged.mcap")
-    path.write_bytes(data[: -MAGIC_BYTES - 29] + bomb + footer)
-    assert peak_bytes_of_reading(path) < 1 << 24
-
-
 def test_a_file_full_of_chunks_that_lie_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each header promises a chunk up to the end of the file: reading them all could take hours."""
     header = chunk(b"?", size=5, compression=b"", stored=b"")
@@ -452,56 +378,6 @@ def test_a_file_full_of_chunks_that_lie_is_given_up(tmp_path: Path, monkeypatch:
     with Log(path) as log:
         assert (log.chunks, log.lost) == ([], [(MAGIC_BYTES, total)])
     assert total < count_bytes(read) < 100 * total
-
-
-def sizes_unpacked(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """What compressed chunks are unpacked to from now on, in bytes."""
-    sizes: list[int] = []
-
-    def counting(stored: memoryview, compression: bytes, size: int) -> bytes:
-        sizes.append(size)
-        return unpack(stored, compression, size)
-
-    monkeypatch.setattr("recorder.mcap.mcap_file.unpack", counting)
-    return sizes
-
-
-def test_a_file_full_of_bombs_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each chunk is of a few hundred bytes, unpacks to megabytes, and has another CRC than it tells."""
-    zeros = bytes(1 << 22)
-    bomb = chunk(b"?", size=len(zeros), compression=b"zstd", stored=zstandard.compress(zeros))
-    path = unfinished(tmp_path / "a.mcap", *[bomb] * 100)
-    sizes = sizes_unpacked(monkeypatch)
-    with Log(path) as log:
-        assert (log.chunks, log.lost) == ([], [(MAGIC_BYTES, path.stat().st_size)])
-    assert len(zeros) <= sum(sizes) < 8 * len(zeros)
-
-
-def test_a_file_full_of_bombs_whose_crcs_hold_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A megabyte of them would unpack to gigabytes."""
-    monkeypatch.setattr("recorder.mcap.mcap_file.MAX_CHUNK_BYTES", 1 << 22)
-    message = struct.pack("<BQHIQQ", 5, 22 + (1 << 21), 1, 0, 5, 5) + bytes(1 << 21)
-    bomb = chunk(message, size=len(message), compression=b"zstd", stored=zstandard.compress(message))
-    path = unfinished(tmp_path / "a.mcap", *[bomb] * 300)
-    sizes = sizes_unpacked(monkeypatch)
-    with Log(path) as log:
-        assert 0 < len(log.chunks) < 300
-        assert log.lost
-    assert sum(sizes) < 200 * path.stat().st_size + (1 << 23)
-
-
-@pytest.mark.parametrize("opcode", [0, 5, 0x80])
-def test_a_chunk_of_more_records_than_its_file_can_hold_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opcode: int
-) -> None:
-    """Records without content, or messages without any: unpacked, each takes Python's time."""
-    monkeypatch.setattr("recorder.mcap.mcap_file.FREE_MESSAGES", 1 << 10)
-    content = struct.pack("<HIQQ", 1, 0, 5, 5) if opcode == 5 else b""
-    records = (struct.pack("<BQ", opcode, len(content)) + content) * (1 << 14)
-    bomb = chunk(records, size=len(records), compression=b"zstd", stored=zstandard.compress(records))
-    path = unfinished(tmp_path / "a.mcap", bomb)
-    with Log(path) as log:
-        assert log.chunks == []
 
 
 def test_a_disk_that_gives_nothing_is_a_log_error(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:

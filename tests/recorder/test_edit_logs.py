@@ -17,9 +17,6 @@ from mcap.writer import CompressionType
 from common import UserError
 from common.car import CAMERAS
 from common.versions import version_of
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
-from plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags, tags_path
@@ -27,8 +24,11 @@ from recorder.topics import ROW_TOPICS
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
 from recorder.upkeep.recover import recover
-from udacity import jpeg
-from waiting import PATIENCE_S
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
+from tests.helpers.plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
+from tests.helpers.udacity import jpeg
+from tests.helpers.waiting import PATIENCE_S
 
 SECOND_NS = 1_000_000_000
 VERSION = version_of()
@@ -168,20 +168,6 @@ def test_attachments_and_messages_without_a_schema_are_recovered_too(tmp_path: P
     assert content.attachments == [("notes.txt", b"hello")]
 
 
-def test_a_message_of_a_time_that_no_table_can_hold_is_left_out_and_named(tmp_path: Path) -> None:
-    plain = tmp_path / "plain.mcap"
-    with plain_writer(plain) as writer:
-        schema = writer.register_schema("bc.VehicleState", "protobuf", b"")
-        channel = writer.register_channel("/vehicle", "protobuf", schema)
-        for row, log_time in enumerate([START_NS, 2**64 - 1, START_NS + 1]):
-            writer.add_message(channel, log_time, b"", log_time, row)
-    done = recover(plain, tmp_path / "b.mcap")
-    assert [message.sequence for message in contents(done.path).messages] == [0, 2]
-    assert "messages of a time that cannot be" in done.skipped.counts
-    with pytest.raises(LogError, match=r"plain\.mcap: .*time"):
-        merge([plain, done.path], tmp_path / "c.mcap")
-
-
 def test_a_state_that_cannot_be_decoded_costs_a_recovery_nothing_else(tmp_path: Path) -> None:
     path, data = tmp_path / "a.mcap", VehicleState(steering=0.1).SerializeToString()
     with plain_writer(path, "bc") as writer:
@@ -235,22 +221,6 @@ def test_seconds_count_from_the_first_row(tmp_path: Path) -> None:
             rows_between(log, 7, 9)
         with pytest.raises(LogError, match="no row between nan"):
             rows_between(log, float("nan"), 9)
-
-
-def test_a_time_that_comes_twice_is_no_stretch(tmp_path: Path) -> None:
-    path = merge([drive(tmp_path / "a.mcap", range(5)), drive(tmp_path / "b.mcap", range(5))], tmp_path / "c.mcap")
-    with Log(path.path) as log, pytest.raises(LogError, match=r"time goes back .* --rows"):
-        rows_between(log, 0.1, 0.3)
-
-
-def test_from_second_0_on_are_all_rows_of_an_earlier_drive_too(tmp_path: Path) -> None:
-    early, late = drive(tmp_path / "early.mcap", range(5)), drive(tmp_path / "late.mcap", range(50, 55))
-    path = merge([late, early], tmp_path / "merged.mcap").path
-    with Log(path) as log:
-        assert rows_between(log, 0, float("inf")) == (50, 59)
-        with pytest.raises(LogError, match=r"time goes back .* --rows"):
-            rows_between(log, 0, 0.2)
-    assert trim_times(path, tmp_path / "all.mcap", 0, float("inf")).rows == 10
 
 
 def foreign(path: Path) -> Path:
@@ -307,27 +277,6 @@ def test_a_merged_log_holds_all_in_order_with_row_numbers_of_its_own(tmp_path: P
 NAMED_ROWS = {"one": range(20), "two": range(5, 15), "three": range(5)}
 
 
-@BOTH_LAYOUTS
-def test_a_log_is_merged_with_itself_and_with_an_unfinished_one(tmp_path: Path) -> None:
-    whole = drive(tmp_path / "a.mcap", range(8))
-    part, complete = killed(whole)
-    done = merge([whole, part, whole], tmp_path / "b.mcap")
-    messages = contents(whole).messages
-    second = 1 + max(m.sequence for m in complete if m.topic in ROW_TOPICS)
-    assert contents(done.path).by_topic == by_topic(
-        [*messages, *numbered_on(complete, 8), *numbered_on(messages, 8 + second)]
-    )
-
-
-def test_rows_beyond_the_largest_number_are_a_log_error(tmp_path: Path) -> None:
-    last = tmp_path / "last.mcap"
-    with LogWriter(last, {}) as writer:
-        writer.vehicle(1, 2**32 - 1, VehicleState())
-    with pytest.raises(LogError, match=r"a\.mcap: row 0 would have a number above 4294967295"):
-        merge([last, drive(tmp_path / "a.mcap", range(2))], tmp_path / "b.mcap")
-    assert not (tmp_path / "b.mcap").exists()
-
-
 # Split
 
 
@@ -359,44 +308,6 @@ def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"b\.mcap: 600 drives are too many"):
         split(path, tmp_path / "drives")
     assert not (tmp_path / "drives").exists()
-
-
-def test_a_part_is_split_under_the_name_it_would_have_had(tmp_path: Path) -> None:
-    part, _ = killed(drive(tmp_path / "a.mcap", range(20), gap_after=5))
-    assert [written.path.name for written in split(part, tmp_path)] == ["a-1.mcap", "a-2.mcap"]
-
-
-def test_if_one_name_is_taken_meanwhile_no_drive_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = tag(drive(tmp_path / "a.mcap", range(20), gap_after=11), (0, 19, "exclude"))
-    finish = LogWriter.finish
-
-    def finish_and_be_late(writer: LogWriter) -> None:
-        finish(writer)
-        (tmp_path / "drives" / "a-2.mcap").write_bytes(b"somebody's work")
-
-    monkeypatch.setattr(LogWriter, "finish", finish_and_be_late)
-    with pytest.raises(LogError, match=r"not split: .*a-2\.mcap exists now.*nothing was kept"):
-        split(whole, tmp_path / "drives")
-    assert [path.name for path in (tmp_path / "drives").iterdir()] == ["a-2.mcap"]
-    assert (tmp_path / "drives" / "a-2.mcap").read_bytes() == b"somebody's work"
-
-
-def test_drives_that_are_kept_after_a_failure_have_their_tags(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = tag(drive(tmp_path / "a.mcap", range(20), gap_after=11), (0, 19, "exclude"))
-    publish = LogWriter.publish
-
-    def publish_the_first(writer: LogWriter) -> None:
-        if writer.path.name == "a-2.mcap":
-            raise UserError("the disk is gone")
-        publish(writer)
-
-    monkeypatch.setattr(LogWriter, "publish", publish_the_first)
-    with pytest.raises(LogError, match=r"not split: .*a-2\.mcap exists now.*a-1\.mcap was kept"):
-        split(whole, tmp_path / "drives", overwrite=True)
-    assert [path.name for path in sorted((tmp_path / "drives").iterdir())] == ["a-1.mcap", "a-1.tags.jsonl"]
-    assert tags_of(tmp_path / "drives" / "a-1.mcap") == [(0, 11, "exclude")]
 
 
 # Tags
@@ -504,27 +415,6 @@ def test_nothing_is_overwritten_and_the_original_never_changes(tmp_path: Path, e
     assert contents(other).messages
     assert whole.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "link.mcap"]
-
-
-def test_split_overwrites_nothing_either(tmp_path: Path) -> None:
-    whole = drive(tmp_path / "a.mcap", range(20), gap_after=11)
-    before = whole.read_bytes()
-    (tmp_path / "a-2.mcap").write_bytes(b"somebody's work")
-    with pytest.raises(UserError, match=r"a-2\.mcap exists already"):
-        split(whole, tmp_path)
-    assert (tmp_path / "a-2.mcap").read_bytes() == b"somebody's work"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
-    assert len(split(whole, tmp_path, overwrite=True)) == 2
-    assert whole.read_bytes() == before
-
-
-@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
-def test_an_edit_that_fails_leaves_no_folder(tmp_path: Path, edit: Edit) -> None:
-    path = drive(tmp_path / "a.mcap", range(20))
-    flip_bit(path, *(chunk.end - 1 for chunk in contents(path).chunks))
-    with pytest.raises(LogError):
-        edit(path, tmp_path / "new" / "folder" / "b.mcap", False)
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

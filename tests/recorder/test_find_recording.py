@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 
-from driving import one_line_in
-from imports import topics
-from logs import read_messages
-from other_logs import DRIVE, write_bag, write_mcap
 from recorder import RecordingError, import_udacity
 from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
-from tubs import record_2, write_tub_2
-from udacity import call, make_recording, paths
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import read_messages
+from tests.helpers.other_logs import write_bag
+from tests.helpers.tubs import record_2, write_tub_2
+from tests.helpers.udacity import call, make_recording, paths
 
 CSV = f"{paths(0)},0,1,0,9.5\n"
 
@@ -59,19 +57,6 @@ def test_what_was_meant_is_said(home: Path, monkeypatch: pytest.MonkeyPatch, giv
         import_recording(home / given, home / "x.mcap")
 
 
-@pytest.mark.parametrize(
-    ("inside", "given"),
-    [("recording", "driving_log.csv"), ("recording", "IMG"), ("recording/IMG", "../driving_log.csv")],
-)
-def test_the_working_folder_is_named_in_full(
-    home: Path, monkeypatch: pytest.MonkeyPatch, inside: str, given: str
-) -> None:
-    monkeypatch.chdir(home / "udacity" / inside)
-    with pytest.raises(RecordingError) as error:
-        import_recording(Path(given), home / "x.mcap")
-    assert str(error.value).endswith(f"did you mean {home / 'udacity' / 'recording'}?")
-
-
 def test_several_recordings_are_all_named_and_many_are_not(home: Path) -> None:
     with pytest.raises(RecordingError) as error:
         import_recording(home, home / "x.mcap")
@@ -87,21 +72,6 @@ def test_nothing_is_guessed_where_nothing_is_near(home: Path, given: str) -> Non
     with pytest.raises(RecordingError) as error:
         import_recording(home / given, home / "x.mcap")
     assert "did you mean" not in str(error.value)
-
-
-def test_folders_that_go_in_circles_end(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "b").symlink_to(tmp_path / "a")
-    os.mkfifo(tmp_path / "a" / "driving_log.csv")
-    with pytest.raises(RecordingError, match=r"no driving_log\.csv in it"):
-        import_recording(tmp_path / "a", tmp_path / "x.mcap")
-
-
-def test_a_link_to_itself_hides_no_recording(home: Path) -> None:
-    (home / "loop").symlink_to("loop")
-    with pytest.raises(RecordingError) as error:
-        import_recording(home, home / "x.mcap")
-    assert str(home / "mycar" / "data") in str(error.value)
 
 
 # Logs of this toolkit
@@ -120,26 +90,6 @@ def test_a_log_of_this_toolkit_needs_no_import(
     part = shutil.copy(log, tmp_path / "log.mcap.1a2b3c.part")
     with pytest.raises(RecordingError, match=r"`bc-log recover .*part`"):
         import_recording(Path(part), tmp_path / "x.mcap")
-
-
-def test_one_whose_topics_are_given_is_read_like_any_other(tmp_path: Path) -> None:
-    """The left camera as if it were the centre."""
-    make_recording(tmp_path / "drive", CSV, [0])
-    log = import_udacity(tmp_path / "drive", tmp_path / "log.mcap").path
-    done = import_recording(log, tmp_path / "left.mcap", topics("/camera/left", "/vehicle.steering"))
-    [(_, picture)] = read_messages(done.path)["/camera/center"]
-    [(_, left)] = read_messages(log)["/camera/left"]
-    assert picture.data == left.data
-
-
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"\x89MCAP0\r\n\x01", b"bc"])
-def test_what_is_hardly_a_file_is_no_log_of_ours(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "x.mcap").write_bytes(content)
-    with pytest.raises(RecordingError, match="which topics"):
-        import_recording(tmp_path / "x.mcap", tmp_path / "y.mcap")
-    write_mcap(tmp_path / "x.mcap", DRIVE)
-    with pytest.raises(RecordingError, match="which topics"):
-        import_recording(tmp_path / "x.mcap", tmp_path / "y.mcap")
 
 
 # Watching

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 import websocket
 
-from driving import PATIENCE_S
 from recorder.server import (
     connection_guard,
     engineio_connection,
@@ -23,9 +22,8 @@ from recorder.server import (
     telemetry_server,
 )
 from recorder.server.allowed_hosts import AllowedHosts
-from recorder.server.telemetry_server import MAX_MESSAGE_BYTES
-from recorder.server.websocket import FRAME_BYTES, TOO_LARGE
-from serving import (
+from tests.helpers.driving import PATIENCE_S
+from tests.helpers.serving import (
     UNUSED,
     Book,
     PollingClient,
@@ -34,7 +32,7 @@ from serving import (
     steered,
     tell,
 )
-from waiting import wait_until
+from tests.helpers.waiting import wait_until
 
 
 def sent_until_hung_up(stream: socket.socket, data: bytes, pause_s: float = 0.0, most: int = 1 << 30) -> int:
@@ -144,35 +142,7 @@ def test_what_a_client_does_not_read_is_bounded() -> None:
         assert engineio_connection.NOTICE_NOT_READING in serving.said
 
 
-def test_heartbeats_that_nobody_reads_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A client asks for answer after answer, and reads none."""
-    monkeypatch.setattr(engineio_connection, "MAX_ECHOED_CHARACTERS", 10_000)  # else it takes 40,000 of them
-    with Serving(Book()) as serving:
-        deaf = RawClient(serving.port)
-        ping = websocket.ABNF.create_frame(b"2" + b"x" * 10_000, websocket.ABNF.OPCODE_TEXT).format()
-        with contextlib.suppress(ConnectionError):
-            for _ in range(5_000):  # 50 MB in answers: more than any system keeps for a connection
-                deaf.stream.sendall(ping)
-        wait_until(lambda: engineio_connection.NOTICE_NOT_READING in serving.said)
-        deaf.vanish()
-        assert len(tell(serving.port, range(3))) == 3
-
-
 # Those who send without end
-
-
-@pytest.mark.parametrize("content", [b"", b"x"])
-def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: bytes) -> None:
-    with Serving(Book()) as serving:
-        client = RawClient(serving.port)
-        size = bytes([0x80 | len(content)])
-        client.stream.sendall(b"\x01" + size + bytes(4) + content)
-        most = 2 * MAX_MESSAGE_BYTES // FRAME_BYTES
-        with contextlib.suppress(ConnectionError):
-            for _ in range(most // 1000):
-                client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
-        client.until_hung_up()
-        wait_until(lambda: engineio_connection.NOTICES_HUNG_UP[TOO_LARGE] in serving.said)
 
 
 @pytest.mark.parametrize("header", ["Content-Length: -1", "Content-Length: x", "Transfer-Encoding: chunked"])
@@ -183,18 +153,6 @@ def test_a_body_whose_size_is_not_told_is_not_read(header: str) -> None:
             stream.sendall(f"POST {client.path} HTTP/1.1\r\nHost: localhost\r\n{header}\r\n\r\n".encode())
             assert sent_until_hung_up(stream, b"x" * 65536, most=1000) < 1000
         assert len(tell(serving.port, range(3))) == 3
-
-
-def test_what_a_client_sends_is_not_sent_back_at_length() -> None:
-    book = Book()
-    with Serving(book) as serving:
-        client = RawClient(serving.port, "40", "2" + "x" * 100_000)
-        while not (message := str(client.websocket.recv())).startswith("3"):
-            pass
-        assert len(message) <= 101
-        client.websocket.send("40/" + "x" * 100_000 + ",")
-        client.until_hung_up()
-        assert engineio_connection.NOTICE_BROKEN in serving.said
 
 
 def test_a_client_has_one_place_however_often_it_connects() -> None:
@@ -245,16 +203,6 @@ def test_no_page_of_another_site_is_let_in_by_whatever_name_it_comes(
         assert asked(serving.port, POLL, **headers) == (200 if is_let_in else 403)
         assert asked(serving.port, websocket_path, **WEBSOCKET, **headers) == (101 if is_let_in else 403)
         assert sum("refused a web page" in line for line in serving.said) == (not is_let_in)
-
-
-def test_names_that_are_tried_one_after_the_other_are_one_line() -> None:
-    with Serving(Book()) as serving:
-        for number in range(5):
-            assert asked(serving.port, POLL, Host=f"evil{number}.example\x1b[2J") == 403
-            assert asked(serving.port, f"{POLL}&j={number}", Host="localhost") == 403  # JSONP
-        (line,) = serving.said
-        assert "evil0.example\\x1b[2J" in line
-        assert len(tell(serving.port, range(3))) == 3
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from common.car import CAMERAS
-from imports import import_csv
-from lerobot_logs import jpeg
-from logs import read_messages
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
-from udacity import call
+from tests.helpers.imports import import_csv
+from tests.helpers.lerobot_logs import jpeg
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import call
 
 ANGLES = [0.0, -90.0, 45.0, 180.0]
 
@@ -92,20 +92,6 @@ def test_all_columns(tmp_path: Path) -> None:
     assert dict(done.skipped.counts) == {"pictures without a row": 1}
 
 
-def test_times_in_nanoseconds_keep_every_one(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, "n\tp\ts\n1720880000123456789\ta.jpg\t0\n", ["a.jpg"])
-    done = imported(folder, "time_ns=n", "image=p", "steering=s")
-    with Log(done.path) as log:
-        assert log.vehicle()["log_time_ns"].to_pylist() == [1_720_880_000_123_456_789]
-
-
-def test_a_time_of_thousands_of_digits_that_are_zeros_is_a_number(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, f"n,p,s\n{'0' * 5000}7,a.jpg,0\n", ["a.jpg"])
-    done = imported(folder, "time_ns=n", "image=p", "steering=s")
-    with Log(done.path) as log:
-        assert log.vehicle()["log_time_ns"].to_pylist() == [7]
-
-
 @pytest.mark.parametrize(
     ("column", "time"), [("time_ns", "1" * 5000), ("time_s", "1e305"), ("time_ns", str(2**63)), ("time_ms", "-1")]
 )
@@ -150,23 +136,11 @@ def test_a_shuffled_csv_is_sorted_about(tmp_path: Path, order: list[int], is_sor
     assert said == ("time went back 3 times, so its rows were sorted by time" if is_sorted else "")
 
 
-def test_a_date_as_a_time_is_not_called_too_large(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, "p,s,t\na.jpg,0,1\nb.jpg,0,2024-07-13T14:30:16\n", ["a.jpg", "b.jpg"])
-    done = imported(folder, "image=p", "steering=s", "time_s=t")
-    assert "rows whose time is not a number: 1 (line 3)" in done.skipped.lines()
-
-
 def test_of_two_columns_with_one_name_none_is_guessed(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "p,s,s\na.jpg,0.5,0.25\n", ["a.jpg"])
     with pytest.raises(RecordingError, match="several columns 's'; name all by number, from 1"):
         imported(folder, "image=p", "steering=s", rate=10.0)
     assert steering_of(imported(folder, "image=1", "steering=3", rate=10.0).path) == [0.25]
-
-
-def test_lines_are_counted_as_an_editor_does(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, 'p,s\n\na.jpg,0\n\n"x\ny",?\nb.jpg,none\n', ["a.jpg"])
-    done = imported(folder, "image=p", "steering=s", rate=10.0)
-    assert done.skipped.lines()[0] == "rows whose steering is not a finite number: 2 (line 6, line 7)"
 
 
 def test_a_csv_without_a_header_has_columns_by_number(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import read_messages
 from recorder import Imported, Log, RecordingError
 from recorder.sources.donkeycar_tub import is_tub
 from recorder.sources.picture_folder import MISSING
 from recorder.sources.recording_kinds import import_recording
-from tubs import FIRST_MS, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.logs import read_messages
+from tests.helpers.tubs import FIRST_MS, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
 
 START_NS = 1_679_574_289_750_000_000
 FIRST_NS = FIRST_MS * 1_000_000
@@ -90,13 +89,6 @@ def test_every_record_of_a_version_1_tub(tmp_path: Path) -> None:
     }
 
 
-def test_the_records_of_version_1_come_by_their_number_not_by_their_name(tmp_path: Path) -> None:
-    numbers = [10, 9, 102, 1]
-    records = {number: record_1(number, **{"cam/image_array": name_1(number % 7)}) for number in numbers}
-    done = imported(write_tub_1(tmp_path / "tub", records, pictures=range(7)))
-    assert kept(done.path) == [number % 7 for number in (1, 9, 10, 102)]
-
-
 def test_records_whose_time_goes_back_keep_their_order(tmp_path: Path) -> None:
     times = [FIRST_MS + 5_000, FIRST_MS + 5_050, FIRST_MS, FIRST_MS + 50]
     records = [record_2(index, _timestamp_ms=ms) for index, ms in enumerate(times)]
@@ -125,13 +117,6 @@ def test_a_tub_without_a_start_begins_in_1970_and_its_log_says_so(tmp_path: Path
     done = imported(write_tub_1(tmp_path / "tub", {0: record_1(0)}, start_s=start_s))
     assert [time_ns for time_ns, *_ in frames_of(done.path)] == [100_000_000]
     assert metadata_of(done.path)["start"].startswith("1970")
-
-
-def test_a_record_without_a_time_among_others_is_left_out(tmp_path: Path) -> None:
-    records = [without(record_2(0), "_timestamp_ms"), record_2(1), record_2(2)]
-    done = imported(write_tub_2(tmp_path / "data", records))
-    assert kept(done.path) == [1, 2]
-    assert done.skipped.counts["records without a time"] == 1
 
 
 def test_deleted_records_are_left_out_and_named(tmp_path: Path) -> None:
@@ -170,13 +155,6 @@ def test_a_record_without_a_whole_picture_is_left_out_and_named(tmp_path: Path, 
 def test_a_picture_without_a_record_is_named(tmp_path: Path) -> None:
     done = imported(write_tub_2(tmp_path / "data", map(record_2, range(3)), pictures=range(5)))
     assert list(done.skipped) == [("pictures without a row", name_2(index)) for index in (3, 4)]
-
-
-def test_a_picture_that_two_records_name_is_taken_once(tmp_path: Path) -> None:
-    """Twice in a log, it could be on both sides of the split."""
-    done = imported(write_tub_2(tmp_path / "data", [record_2(0), record_2(1), record_2(0)], pictures=[0, 1]))
-    assert kept(done.path) == [0, 1]
-    assert done.skipped.counts == {"rows with the pictures of an earlier row": 1}
 
 
 HUGE = "1" + "0" * 400
@@ -224,13 +202,6 @@ def test_a_catalogue_that_is_cut_off_loses_its_last_record_only(tmp_path: Path) 
     assert ("records that cannot be read as a JSON object", "catalog_0.catalog line 3") in done.skipped
 
 
-@pytest.mark.parametrize("line_end", [b"\n", b"\r\n", b"\r\r\n"], ids=["LF", "CR LF", "CR CR LF of Windows"])
-def test_line_ends(tmp_path: Path, line_end: bytes) -> None:
-    done = imported(write_tub_2(tmp_path / "data", map(record_2, range(4)), deleted=[1], line_end=line_end))
-    assert kept(done.path) == [0, 2, 3]
-    assert done.skipped.counts == {"deleted records": 1}
-
-
 @pytest.mark.parametrize("kept_bytes", [0, -3])
 def test_a_manifest_that_is_cut_off_hides_no_record_but_is_named(tmp_path: Path, kept_bytes: int) -> None:
     """A car that loses its power leaves it so; what was deleted is then not known."""
@@ -240,14 +211,6 @@ def test_a_manifest_that_is_cut_off_hides_no_record_but_is_named(tmp_path: Path,
     done = imported(folder)
     assert kept(done.path) == [0, 1, 2, 3]
     assert list(done.skipped) == [("lists of deleted records that cannot be read", "manifest.json")]
-
-
-def test_an_unreadable_list_of_excluded_records_is_named(tmp_path: Path) -> None:
-    folder = tub_1(tmp_path / "tub")
-    (folder / "exclude.json").write_text('{"0": true}')
-    done = imported(folder)
-    assert kept(done.path) == [0, 1, 2, 3]
-    assert list(done.skipped) == [("lists of deleted records that cannot be read", "exclude.json")]
 
 
 def test_catalogues_that_are_missing_or_not_listed_are_named(tmp_path: Path) -> None:
@@ -278,14 +241,6 @@ def test_only_the_file_name_of_a_picture_counts(tmp_path: Path, prefix: str) -> 
     assert done.skipped.counts == {MISSING: 1}
 
 
-@pytest.mark.parametrize("picture", ["", "..", "/", "x\x00.jpg", "\ud800.jpg", "a" * 5_000, 7, None])
-def test_a_picture_name_that_is_none_costs_its_record_only(tmp_path: Path, picture: object) -> None:
-    records = [record_2(0), record_2(1, **{"cam/image_array": picture})]
-    done = imported(write_tub_2(tmp_path / "data", records, pictures=[0]))
-    assert kept(done.path) == [0]
-    assert len(done.skipped) == 1
-
-
 @pytest.mark.parametrize("name", ["images/" + name_2(1), "catalog_1.catalog"])
 def test_a_link_out_of_the_tub_is_not_followed(tmp_path: Path, name: str) -> None:
     folder = tub_2(tmp_path / "downloaded")
@@ -295,53 +250,6 @@ def test_a_link_out_of_the_tub_is_not_followed(tmp_path: Path, name: str) -> Non
     done = imported(folder)
     assert [name for reason, name in done.skipped if "links out of" in reason] == [link]
     assert kept(done.path) == ([0, 2, 3] if link == name_2(1) else [0, 1, 2])
-
-
-def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path) -> None:
-    """Somebody keeps the pictures on another disk; what leads out of there is still not followed."""
-    folder = tub_2(tmp_path / "data")
-    pictures = (folder / "images").rename(tmp_path / "disk")
-    (folder / "images").symlink_to(pictures)
-    (pictures / name_2(1)).rename(tmp_path / "private.jpg")
-    (pictures / name_2(1)).symlink_to(tmp_path / "private.jpg")
-    done = imported(folder)
-    assert kept(done.path) == [0, 2, 3]
-    assert done.skipped.counts == {"pictures that are links out of the recording": 1}
-    pictures.rename(tmp_path / "unplugged")
-    with pytest.raises(RecordingError, match=r"images: a link to .*disk, which is not there"):
-        import_recording(folder, tmp_path / "again.mcap")
-
-
-@pytest.mark.parametrize("name", ["meta.json", "record_1.json", name_1(1)])
-def test_a_link_out_of_a_version_1_tub_is_not_followed(tmp_path: Path, name: str) -> None:
-    folder = tub_1(tmp_path / "downloaded")
-    private = (folder / name).rename(tmp_path / "private")
-    (folder / name).symlink_to(private)
-    done = imported(folder)
-    assert ("links out of the tub", name) in done.skipped
-    assert kept(done.path) == ([0, 1, 2, 3] if name == "meta.json" else [0, 2, 3])
-    if name == "meta.json":
-        assert metadata_of(done.path)["start"].startswith("1970")
-
-
-def test_a_catalogue_is_looked_for_in_the_tub_only(tmp_path: Path) -> None:
-    folder = tub_2(tmp_path / "downloaded")
-    (folder / "catalog_1.catalog").rename(tmp_path / "private.catalog")
-    manifest = folder / "manifest.json"
-    manifest.write_text(manifest.read_text().replace("catalog_1.catalog", "../private.catalog"))
-    done = imported(folder)
-    assert kept(done.path) == [0, 1, 2]
-    assert ("catalogues that are not there", "'private.catalog'") in done.skipped
-
-
-def test_links_and_folders_in_the_place_of_files_break_nothing(tmp_path: Path) -> None:
-    folder = tub_2(tmp_path / "data")
-    (folder / "images" / "loop.jpg").symlink_to("loop.jpg")
-    for index in (1, 2):
-        (folder / "images" / name_2(index)).unlink()
-    (folder / "images" / name_2(1)).mkdir()
-    os.mkfifo(folder / "images" / name_2(2))
-    assert kept(imported(folder).path) == [0, 3]
 
 
 json_values = st.recursive(
@@ -369,15 +277,6 @@ def test_junk_among_the_records_costs_no_sound_record(catalog: list[bytes], last
         numbers = kept(imported(folder).path)
         assert [number for number in numbers if number != 1] == [0, 2]
         assert len(numbers) <= 3
-
-
-@given(meta=junk_lines, excluded=junk_lines, record=junk_lines)
-def test_junk_in_a_version_1_tub_costs_no_sound_record(meta: bytes, excluded: bytes, record: bytes) -> None:
-    with tempfile.TemporaryDirectory() as place:
-        folder = write_tub_1(Path(place) / "tub", {0: record_1(0), 1: record, 2: record_1(2)})
-        (folder / "meta.json").write_bytes(meta)
-        (folder / "exclude.json").write_bytes(excluded)
-        assert [number for number in kept(imported(folder).path) if number != 1] == [0, 2]
 
 
 # What a user sees

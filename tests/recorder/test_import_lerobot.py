@@ -14,9 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
-from lerobot_logs import decoded, jpeg, write_drives
-from logs import START_NS, read_messages
 from recorder import Imported, Log, LogError, LogWriter, RecordingError
 from recorder.bc_pb2 import VehicleState
 from recorder.import_cli import main as bc_import
@@ -28,7 +25,10 @@ from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import ImportSettings
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
-from udacity import call
+from tests.helpers.lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
+from tests.helpers.lerobot_logs import decoded, jpeg, write_drives
+from tests.helpers.logs import START_NS, read_messages
+from tests.helpers.udacity import call
 
 FRONT = "observation.images.front"
 LENGTHS = [3, 2]
@@ -77,26 +77,6 @@ def test_an_export_comes_back_as_it_was(tmp_path: Path, speed_mph: float) -> Non
     with Log(done.path) as opened:
         assert opened.metadata["source"] == "lerobot"
         assert opened.metadata["clock"] == "recorded"
-
-
-@pytest.mark.parametrize("flags", [{}, {"steering": "action.steering"}])
-def test_an_export_of_the_version_before_comes_back(tmp_path: Path, flags: dict[str, Any]) -> None:
-    """Its state was one number, the speed."""
-    log = write_drives(tmp_path / "two.mcap")
-    export_lerobot([log], tmp_path / "out")
-    now = content(imported(tmp_path / "out", **flags).path)
-    (data,) = (tmp_path / "out/data").glob("*/*.parquet")
-    table = pq.read_table(data)
-    speed = pa.array([9.3] * len(table), pa.float32())
-    pq.write_table(
-        table.set_column(table.column_names.index("observation.state"), "observation.state", speed), data
-    )
-    info = json.loads((tmp_path / "out/meta/info.json").read_text())
-    state = {"observation.state": numbers_feature(["speed_mph"], 1)}
-    change_info(tmp_path / "out", features=info["features"] | state)
-    before = content(imported(tmp_path / "out", overwrite=True, **flags).path)
-    assert before == now
-    assert flags or before == content(log)
 
 
 def test_the_car_of_a_session_comes_back(tmp_path: Path) -> None:
@@ -200,16 +180,6 @@ def test_names_as_lerobot_itself_gives_them(tmp_path: Path, names: object) -> No
     assert [row[2:5] for row in rows] == [(value, 0.5, 0.0) for value in STEERING]
     assert [float(row[5]) for row in rows] == pytest.approx([10.0] * 5)
     assert "no number has a name of these: brake is 0" in done.notices
-
-
-def test_what_no_name_tells_is_said(tmp_path: Path) -> None:
-    features = {FRONT: image_feature(), "action": numbers_feature(["steering", "motor_power"], 2)}
-    columns: dict[str, Sequence[Any]] = {
-        FRONT: [as_image(jpeg("center", row)) for row in range(5)],
-        "action": [[value, 0.5] for value in STEERING],
-    }
-    done = imported(write_dataset(tmp_path / "theirs", features, columns, LENGTHS))
-    assert "no number has a name of these: throttle is 0, brake is 0, speed_mph is unknown" in done.notices
 
 
 def test_flags_say_it_where_names_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -353,9 +323,3 @@ def test_videos_that_are_missing_or_none_are_one_line(tmp_path: Path) -> None:
     change_info(tmp_path / "out", video_path="{video_key:>999999999999}")
     with pytest.raises(RecordingError, match="; expected "):
         imported(tmp_path / "out")
-
-
-def test_a_folder_beside_it_is_suggested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    theirs = others(tmp_path / "theirs")
-    assert call(bc_import, theirs / "data", "mine", "--sessions", tmp_path) == 1
-    assert f"did you mean {theirs}?" in capsys.readouterr().err

@@ -7,9 +7,7 @@ import json
 import math
 import random
 import sqlite3
-import struct
 import sys
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +25,19 @@ from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
 from common import UserError
-from driving import one_line_in
-from imports import topics
-from logs import flip_bit, read_messages
-from other_logs import (
+from recorder import Imported, Log, LogError, RecordingError
+from recorder.sources.find_recording import kind_of
+from recorder.sources.recording_kinds import import_recording
+from recorder.sources.settings import ImportSettings
+from tests.helpers.imports import topics
+from tests.helpers.logs import flip_bit, read_messages
+from tests.helpers.other_logs import (
     CAMERA,
     DRIVE,
     PICTURES,
     ROS_TOPICS,
     ROWS,
     START_NS,
-    STORE,
     TOPICS,
     WHEEL,
     Kind,
@@ -45,20 +45,13 @@ from other_logs import (
     S,
     ackermann,
     angle,
-    header,
     image,
     joystick,
     twist,
     write_bag,
     write_mcap,
 )
-from plain_mcap import plain_writer
-from recorder import Imported, Log, LogError, RecordingError
-from recorder.import_cli import main as bc_import
-from recorder.sources.find_recording import kind_of
-from recorder.sources.recording_kinds import import_recording
-from recorder.sources.settings import ImportSettings
-from udacity import call
+from tests.helpers.plain_mcap import plain_writer
 
 
 def png(level: int) -> bytes:
@@ -157,16 +150,6 @@ def test_a_field_of_a_protobuf_message_may_be_nested_and_in_a_list(tmp_path: Pat
     assert rows_of(done.path) == [(0.1, 0.5, PICTURES[0])]
 
 
-def test_the_topic_is_the_longest_one(tmp_path: Path) -> None:
-    told = [
-        ("/car", 0.0, {"wheel": {"x": 0.1}}),
-        ("/car.wheel", 0.0, {"x": 0.2}),
-        (CAMERA, 0.1, image(PICTURES[0])),
-    ]
-    done = imported(write_mcap(tmp_path / "other.mcap", told), topics(CAMERA, "/car.wheel.x"))
-    assert [steering for _, steering, _ in rows_of(done.path)] == [0.2]
-
-
 def test_steering_may_lie_anywhere_in_the_file(tmp_path: Path) -> None:
     pictures, steering = [DRIVE[1], DRIVE[4], DRIVE[5]], [DRIVE[2], DRIVE[0]]
     source = write_mcap(tmp_path / "other.mcap", [*pictures, *steering], chunk_size=1)
@@ -207,14 +190,6 @@ def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
     assert all("steering beyond -1..1" in reason for reason in done.skipped.counts)
 
 
-@pytest.mark.parametrize("scale", [0.0, math.nan, math.inf])
-def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float, capsys: pytest.CaptureFixture[str]) -> None:
-    source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    flags = ["--image", CAMERA, "--steering", TOPICS.steering, "--steering-scale", scale]
-    assert call(bc_import, source, "mine", *flags, "--sessions", tmp_path) == 2
-    assert "--steering-scale" in one_line_in(capsys)
-
-
 def test_png_pictures_stay_png(tmp_path: Path) -> None:
     told = [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(png(40))), (CAMERA, 0.2, image(PICTURES[0]))]
     done = imported(write_mcap(tmp_path / "other.mcap", told))
@@ -228,20 +203,6 @@ def test_what_is_no_whole_picture_is_left_out_and_named(tmp_path: Path) -> None:
     done = imported(write_mcap(tmp_path / "other.mcap", [*told, (CAMERA, 0.9, image(PICTURES[0]))]))
     assert rows_of(done.path) == [(0.9, 0.0, PICTURES[0])]
     assert done.skipped.counts == {"pictures that are not whole JPEG or PNG files": len(broken)}
-
-
-def test_a_small_png_that_unpacks_to_a_huge_one_is_not_unpacked(tmp_path: Path) -> None:
-    side = 8200
-    chunks = [
-        (b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)),
-        (b"IDAT", zlib.compress(bytes(side * (side + 1)), 1)),
-    ]
-    bomb = b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in [*chunks, (b"IEND", b"")]
-    )
-    source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(bomb))])
-    assert "; pictures that are not whole JPEG or PNG files: 1 (" in error_of(source)
 
 
 def test_messages_that_make_no_sense_are_left_out_and_named(tmp_path: Path) -> None:
@@ -303,13 +264,6 @@ def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str,
     assert told in error_of(source, topics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
 
 
-def test_an_unknown_field_of_a_protobuf_message_too(tmp_path: Path) -> None:
-    source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, PosesInFrame()), DRIVE[1]])
-    told = error_of(source, topics(CAMERA, f"{WHEEL}.angle"))
-    assert "the message has no angle; it has timestamp, frame_id, poses" in told
-    assert "messages without" not in told  # the first one tells it of all
-
-
 def test_pictures_that_are_not_compressed_are_named_by_their_type(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, RawImage(width=320))])
     told = error_of(source)
@@ -322,11 +276,6 @@ def test_without_any_steering_the_error_says_why(tmp_path: Path) -> None:
     assert "messages that cannot be decoded: 2 (" in error_of(source)
 
 
-def test_without_any_picture_in_time_the_error_says_why(tmp_path: Path) -> None:
-    source = write_mcap(tmp_path / "other.mcap", [DRIVE[1], (WHEEL, 5.0, angle(0.0))])
-    assert "pictures before the first steering: 1 (" in error_of(source)
-
-
 def test_an_unknown_encoding_or_definition_is_named(tmp_path: Path) -> None:
     for encoding, schema, told in (("ros1", b"float64 x", "ros1"), ("protobuf", b"\xff", "definition")):
         source = tmp_path / f"{encoding}.mcap"
@@ -337,12 +286,6 @@ def test_an_unknown_encoding_or_definition_is_named(tmp_path: Path) -> None:
                 writer.register_channel(CAMERA, "protobuf", register_schema(writer, CompressedImage)), 0, b"", 0
             )
         assert told in error_of(source)
-
-
-def test_an_existing_log_is_refused_before_anything_is_read(tmp_path: Path) -> None:
-    (tmp_path / "log.mcap").write_bytes(b"somebody's work")
-    with pytest.raises(UserError, match="--force"):
-        import_recording(tmp_path / "nowhere.mcap", tmp_path / "log.mcap", TOPICS)
 
 
 # ROS 2
@@ -386,24 +329,6 @@ def test_a_time_that_no_log_can_hold_is_left_out(tmp_path: Path) -> None:
     assert done.skipped.counts == {"messages with a time that no log can hold": 2}
 
 
-def test_a_definition_that_cannot_be_read_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
-    database = sqlite3.connect(bag / "bag.db3")
-    database.execute("UPDATE message_definitions SET encoded_message_definition = 'floaty x'")
-    database.commit()
-    database.close()
-    assert "definition of its type cannot be read" in error_of(bag, ROS_TOPICS)
-    assert capfd.readouterr().err == ""
-
-
-def test_a_file_out_of_a_bag(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP)
-    done = import_recording(bag / "bag.mcap", tmp_path / "log.mcap", ROS_TOPICS)
-    assert rows_of(done.path) == ROWS
-    write_bag(tmp_path / "old", StoragePlugin.SQLITE3)
-    assert "give the folder" in error_of(tmp_path / "old" / "old.db3", ROS_TOPICS)
-
-
 @STORAGES
 def test_a_bag_of_several_files_is_read_in_the_order_that_it_tells(tmp_path: Path, storage: StoragePlugin) -> None:
     bag, suffix = tmp_path / "bag", ".mcap" if storage is StoragePlugin.MCAP else ".db3"
@@ -422,11 +347,6 @@ def test_a_bag_of_several_files_is_read_in_the_order_that_it_tells(tmp_path: Pat
     assert [name for _, name in done.skipped] == [f"gone{suffix}", f"forgotten{suffix}"]
 
 
-def test_pictures_in_a_database_are_taken_by_time(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3, rows=ROWS[::-1])
-    assert rows_of(imported(bag, ROS_TOPICS).path) == ROWS
-
-
 def test_a_journal_that_is_not_merged_is_named(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
     (bag / "bag.db3-wal").write_bytes(b"messages")
@@ -440,32 +360,6 @@ def test_a_compressed_bag_is_refused_and_told_how_to_unpack(tmp_path: Path) -> N
     text = (bag / "metadata.yaml").read_text()
     (bag / "metadata.yaml").write_text(text.replace("compression_mode: ''", "compression_mode: FILE"))
     assert "ros2 bag convert" in error_of(bag, ROS_TOPICS)
-
-
-@STORAGES
-def test_nothing_outside_of_the_bag_is_read(tmp_path: Path, storage: StoragePlugin) -> None:
-    bag, private = tmp_path / "bag", write_bag(tmp_path / "private", storage)
-    (secret,) = (path for path in private.iterdir() if path.name != "metadata.yaml")
-    bag.mkdir()
-    (bag / f"link{secret.suffix}").symlink_to(secret)
-    names = [f"../private/{secret.name}", str(secret), f"link{secret.suffix}"]
-    text = json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}})
-    (bag / "metadata.yaml").write_text(text)
-    assert "all files that" in error_of(bag, ROS_TOPICS)
-
-
-def test_an_unknown_field_of_a_ros_message_lists_those_that_there_are(tmp_path: Path) -> None:
-    told = error_of(write_bag(tmp_path / "bag", StoragePlugin.MCAP), topics(CAMERA, "/cmd_vel.angular.w"))
-    assert "angular has no w; it has x, y, z" in told
-
-
-def test_raw_pictures_of_ros_are_named_by_their_type(tmp_path: Path) -> None:
-    def raw(value: float) -> tuple[str, str, object]:
-        kind = "sensor_msgs/msg/Image"
-        return "/raw", kind, STORE.types[kind](header(), 1, 1, "mono8", 0, 1, np.zeros(1, np.uint8))
-
-    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3, raw)
-    assert "are sensor_msgs/msg/Image" in error_of(bag, topics("/raw", "/raw.width"))
 
 
 @pytest.mark.parametrize("package", ["mcap_ros2.decoder", "ruamel.yaml"])

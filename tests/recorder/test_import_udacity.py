@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from common.car import CAMERAS
-from driving import one_line_in
-from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main as bc_record
 from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
-from udacity import call, jpeg, make_recording, paths, picture_name
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import call, jpeg, make_recording, paths, picture_name
 
 START_NS = int(datetime(2024, 7, 13, 14, 30, 16, tzinfo=UTC).timestamp()) * 1_000_000_000
 VALUES = [(0.0, 1.0, 0.0, 7.8e-05), (-0.35, 0.25, 0.0, 12.1822), (0.05, 0.0, 1.0, 30.19)]
@@ -55,12 +54,6 @@ def assert_all_three_rows(folder: Path, pictures: dict[str, bytes]) -> None:
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR only"])
 def test_line_ends_and_no_final_one(tmp_path: Path, end: str) -> None:
     assert_all_three_rows(tmp_path, make_recording(tmp_path, three_rows(end=end).removesuffix(end)))
-
-
-def test_separators_and_line_ends_mixed_in_one_file(tmp_path: Path) -> None:
-    one, two, three = (paths(i, separator=separator) for i, separator in enumerate([",", ", ", ","]))
-    csv = f"{one},{CELLS[0]}\r\n{two}, {CELLS[1].replace(',', ', ')}\n{three}, {CELLS[2]}\r"
-    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
 @pytest.mark.parametrize("separator", [";", "\t", " ; "], ids=["semicolon", "tab", "spaces"])
@@ -128,16 +121,6 @@ def test_columns_in_another_order_are_refused(tmp_path: Path, header: str) -> No
         imported(tmp_path)
 
 
-def test_empty_lines_are_no_rows(tmp_path: Path) -> None:
-    csv = "\n" + three_rows(end="\n\n") + " \r\n\n"
-    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
-
-
-def test_scientific_notation(tmp_path: Path) -> None:
-    make_recording(tmp_path, f"{paths(0)},-1.5E-06,2e-1,0,1.2E+01\n", [0])
-    assert values_of(imported(tmp_path).path) == [(-1.5e-06, 0.2, 0.0, 12.0)]
-
-
 @pytest.mark.parametrize("separator", [", ", ","], ids=["comma and space", "comma"])
 @pytest.mark.parametrize(
     ("cells", "values"),
@@ -197,13 +180,6 @@ def test_a_row_with_a_value_too_many_is_named(tmp_path: Path, cells: str) -> Non
         assert done.skipped.counts == {"rows with more than four values": 1}
 
 
-def test_decimal_commas_behind_a_drive_with_decimal_points(tmp_path: Path) -> None:
-    """Somebody has put another country's recording behind a downloaded one."""
-    cells = ["0,1,0,7.8E-05", "-0,05,1,0,12,25", "0,1,0,12,5"]
-    make_recording(tmp_path, "".join(f"{paths(i)},{text}\n" for i, text in enumerate(cells)))
-    assert values_of(imported(tmp_path).path) == [(0, 1, 0, 7.8e-05), (-0.05, 1, 0, 12.25), (0, 1, 0, 12.5)]
-
-
 def test_missing_pictures_are_named_and_everything_else_is_kept(tmp_path: Path) -> None:
     pictures = make_recording(tmp_path, three_rows())
     missing = [
@@ -256,12 +232,6 @@ def test_a_shuffled_recording_is_sorted(tmp_path: Path) -> None:
     make_recording(tmp_path, "".join(f"{paths(number)},{CELLS[0]}\n" for number in (2, 0, 1)))
     (said,) = imported(tmp_path).notices
     assert said == "time went back 1 time, so its rows were sorted by time"
-
-
-def test_two_folders_rows_in_one_file(tmp_path: Path) -> None:
-    prefixes = ["/home/me/one/IMG/", "C:\\two\\IMG\\", "/home/me/one/IMG/"]
-    csv = "".join(f"{paths(i, prefix)},{CELLS[i]}\n" for i, prefix in enumerate(prefixes))
-    assert_all_three_rows(tmp_path, make_recording(tmp_path, csv))
 
 
 @pytest.mark.parametrize("kept", [20, 120, -18, -12])
@@ -337,16 +307,6 @@ def test_a_link_that_leaves_the_recording_is_not_followed(tmp_path: Path) -> Non
     assert secret.read_bytes() not in done.path.read_bytes()
 
 
-def test_a_picture_that_is_a_link_to_itself_is_left_out(tmp_path: Path) -> None:
-    make_recording(tmp_path / "drive", three_rows())
-    link = tmp_path / "drive" / "IMG" / picture_name("left", 0)
-    link.unlink()
-    link.symlink_to(link.name)
-    done = imported(tmp_path / "drive")
-    assert link.name in [name for _, name in done.skipped]
-    assert done.pictures == 8
-
-
 def pictures_elsewhere(folder: Path, place: Path) -> dict[str, bytes]:
     """A recording whose `place` is a link to a folder on another disk, which has the pictures."""
     pictures = make_recording(folder, three_rows())
@@ -362,39 +322,6 @@ def test_a_folder_of_pictures_that_is_a_link_is_followed(tmp_path: Path, place: 
     folder = tmp_path / "drive"
     pictures = pictures_elsewhere(folder, folder / place)
     assert_all_three_rows(folder, pictures)
-
-
-def test_a_picture_that_leads_out_of_a_linked_folder_is_named(tmp_path: Path) -> None:
-    secret = tmp_path / "private.jpg"
-    secret.write_bytes(jpeg(250))
-    folder = tmp_path / "drive"
-    pictures_elsewhere(folder, folder / "IMG")
-    link = folder / "IMG" / picture_name("left", 0)
-    link.unlink()
-    link.symlink_to(secret)
-    done = imported(folder)
-    assert done.pictures == 8
-    assert list(done.skipped) == [("pictures that are links out of the recording", link.name)]
-    assert secret.read_bytes() not in done.path.read_bytes()
-
-
-def test_a_link_to_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    folder = tmp_path / "drive"
-    pictures_elsewhere(folder, folder / "IMG")
-    (tmp_path / "disk").rename(tmp_path / "unplugged")
-    with pytest.raises(RecordingError, match=r"IMG is a link to .*pictures of July, which is not there"):
-        imported(folder)
-
-
-def test_a_recording_all_of_whose_pictures_are_links_says_how_to_copy_it(tmp_path: Path) -> None:
-    """As git-annex and its like keep large files."""
-    folder = tmp_path / "drive"
-    make_recording(folder, three_rows())
-    (tmp_path / "store").mkdir()
-    for picture in list((folder / "IMG").iterdir()):
-        picture.symlink_to(picture.rename(tmp_path / "store" / picture.name))
-    with pytest.raises(RecordingError, match=r"its pictures are links out of it, .*`cp -rL`"):
-        imported(folder)
 
 
 def test_a_csv_that_is_a_link_out_of_the_recording_is_not_followed(tmp_path: Path) -> None:
@@ -503,20 +430,6 @@ def test_a_name_that_no_index_can_hold_is_refused_at_once(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_name_with_its_ending_is_given_back_without(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(bc_record, "my drive.mcap") == 2
-    assert "give the name without its ending: 'my drive'" in one_line_in(capsys)
-
-
-def test_every_split_of_a_decimal_comma_row_that_is_written_is_read(tmp_path: Path) -> None:
-    """All combinations of whole and broken numbers that a drive at a steady speed can have."""
-    rows = list(itertools.product(("0", "-0,25"), ("1", "0,75"), ("0",), ("20,5", "20,4375")))
-    csv = "".join(f"{paths(i)},{','.join(row)}\n" for i, row in enumerate(rows))
-    make_recording(tmp_path, csv, range(len(rows)))
-    expected = [tuple(float(cell.replace(",", ".")) for cell in row) for row in rows]
-    assert values_of(imported(tmp_path).path) == expected
-
-
 def test_a_row_that_comes_twice_is_taken_once(tmp_path: Path) -> None:
     """Twice in a log, a picture could be on both sides of the split."""
     make_recording(tmp_path, three_rows() + three_rows())
@@ -534,9 +447,3 @@ def test_a_time_that_no_log_can_hold_costs_the_row(tmp_path: Path, year: str) ->
         3,
         {"rows with a time in their pictures' names that no log can hold": 1},
     )
-
-
-def test_an_empty_csv_is_called_empty(tmp_path: Path) -> None:
-    (tmp_path / "driving_log.csv").touch()
-    with pytest.raises(RecordingError, match=r"driving_log\.csv: an empty file: no drive was recorded"):
-        import_udacity(tmp_path, tmp_path / "x.mcap")

@@ -1,31 +1,29 @@
-"""The lag of a log's steering: noted by whoever writes the log, or measured later and kept beside it."""
+"""The lag of a log's steering: measured when somebody first needs it, and kept beside the log."""
 
 from __future__ import annotations
 
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from bytes_read import count_bytes, note_reads
-from mcap_patch import without_lag
-from panorama import of_size, pressed, views, write_drive
-from places import Place
+from dataset import build_index
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
+from recorder.log.findings import Findings
 from recorder.log_cli import main
+from recorder.rows.label_plan import NOT_MEASURED
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import SteeringLag
 from recorder.seen import steering_lag
-from recorder.topics import QUALITY_METADATA
-from recorder.upkeep.edit import merge, rewrite, split, trim
+from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.log_info import LogInfo, describe
-from recorder.upkeep.recover import recover
-from udacity import call
+from tests.helpers.panorama import pressed, views, write_drive
+from tests.helpers.places import Place
+from tests.helpers.udacity import call
 
 ROWS = 1300
 LATE_S = 0.3
@@ -45,12 +43,6 @@ def measured(path: Path) -> SteeringLag | None:
         return steering_lag.measure_lag(log, States.of(log.vehicle()))
 
 
-def noted(path: Path) -> Any:
-    """What the file itself has."""
-    with Log(path) as log:
-        return json.loads(log.read_metadata(QUALITY_METADATA).get("lag", '"nothing"'))
-
-
 def lag_s(info: LogInfo) -> float:
     assert info.lag is not None
     return info.lag.lag_s
@@ -58,33 +50,31 @@ def lag_s(info: LogInfo) -> float:
 
 @pytest.fixture(scope="module")
 def late_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return without_lag(write_drive(tmp_path_factory.mktemp("late") / "a.mcap", views(ROWS), late))
+    return write_drive(tmp_path_factory.mktemp("late") / "a.mcap", views(ROWS), late)
 
 
 @pytest.fixture
 def unmeasured(tmp_path: Path, late_drive: Path) -> Path:
-    """A log of before, whose lag nobody knows; a.mcap."""
     return Path(shutil.copy(late_drive, tmp_path))
 
 
-@pytest.mark.parametrize("live", [False, True])
-def test_a_writer_notes_what_the_pictures_show(
-    live: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_lag_that_an_earlier_version_noted_in_the_log_counts(
+    unmeasured: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = write_drive(tmp_path / "a.mcap", of_size(views(ROWS), 9_000), late, live=live)
-    expected = measured(path)
+    expected = measured(unmeasured)
     assert expected is not None
-    assert expected.lag_s == pytest.approx(LATE_S, abs=0.051)
-    read = note_reads(monkeypatch)
-    info = describe(path)
+    note = {"lag": json.dumps(vars(expected))}
+    as_metadata = Findings.as_metadata
+    monkeypatch.setattr(Findings, "as_metadata", lambda self: as_metadata(self) | note)
+    rewrite(unmeasured, unmeasured.with_name("earlier.mcap"))
+    info = describe(unmeasured.with_name("earlier.mcap"))
     assert (info.lag, info.lacks_lag) == (expected, False)
     assert "0.4 s late" in info.labels
-    assert count_bytes(read) < 0.02 * info.size_bytes
 
 
 def test_a_session_that_shows_no_lag_is_not_looked_at_again(tmp_path: Path) -> None:
     path = write_drive(tmp_path / "a.mcap", [b"no picture"] * ROWS, pressed)
-    assert noted(path) is None
+    describe(path, look=True)
     info = describe(path)
     assert (info.lag, info.lacks_lag) == (None, False)
     assert "not measured" not in info.labels
@@ -101,20 +91,19 @@ def test_nothing_is_measured_where_labels_do_not_depend_on_it(tmp_path: Path) ->
         write_drive(tmp_path / "short.mcap", views(ROWS)[:300], pressed),
         write_drive(tmp_path / "device.mcap", views(ROWS), pressed, device=VehicleState.KEYBOARD),
     ]
-    assert [noted(path) for path in paths] == ["nothing"] * 3
     assert not any(describe(path).lacks_lag for path in paths)
 
 
-def test_a_recording_is_kept_though_its_pictures_cannot_be_looked_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_index_is_built_though_its_pictures_cannot_be_looked_at(
+    unmeasured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*_: object) -> None:
         cv2.resize(np.empty((0, 0)), (1, 1))
 
     monkeypatch.setattr(steering_lag, "measure_lag", fails)
-    path = write_drive(tmp_path / "a.mcap", views(ROWS), pressed)
-    info = describe(path)
-    assert (info.rows, info.notice, info.lacks_lag) == (ROWS, "", True)
+    indexed = build_index([unmeasured], tmp_path / "index")
+    assert indexed.labels["a"].plan.why == NOT_MEASURED
+    assert describe(unmeasured).lacks_lag
 
 
 def test_a_log_of_before_is_measured_by_a_check_once(
@@ -158,31 +147,19 @@ def test_a_check_that_cannot_keep_the_lag_says_so(unmeasured: Path, capsys: pyte
     assert "`bc-index --look` keeps the lag in the index" in " ".join(err.split())
 
 
-@pytest.mark.parametrize("is_old", [False, True])
-def test_a_derived_log_has_the_lag_of_its_own_rows(is_old: bool, tmp_path: Path) -> None:
+def test_a_derived_log_has_the_lag_of_its_own_rows(tmp_path: Path) -> None:
     whole = write_drive(tmp_path / "whole.mcap", views(ROWS), half_late)
-    if is_old:
-        without_lag(whole)
-        describe(whole, look=True)
+    describe(whole, look=True)
     parts = [tmp_path / "first.mcap", tmp_path / "last.mcap"]
     trim(whole, parts[0], (0, 640))
     trim(whole, parts[1], (655, ROWS - 1))
-    assert [lag_s(describe(part)) for part in parts] == pytest.approx([0, LATE_S], abs=0.051)
-    merge(parts[::-1], tmp_path / "merged.mcap")
-    drives = split(tmp_path / "merged.mcap", tmp_path / "drives")
-    assert [lag_s(describe(drive.path)) for drive in drives] == pytest.approx([LATE_S, 0], abs=0.051)
-    rewrite(whole, tmp_path / "again.mcap")
-    for path in (*parts, tmp_path / "merged.mcap", tmp_path / "again.mcap"):
-        expected = measured(path)
-        assert noted(path) == (expected and {**vars(expected)})
+    assert [lag_s(describe(part, look=True)) for part in parts] == pytest.approx([0, LATE_S], abs=0.051)
 
 
-def test_a_killed_log_is_measured_when_it_is_recovered(tmp_path: Path) -> None:
+def test_an_unfinished_log_keeps_no_lag(tmp_path: Path) -> None:
     path = write_drive(tmp_path / "a.mcap", views(ROWS), late, live=True)
     killed = tmp_path / "a.mcap.0a1b2c.part"
     killed.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
     assert describe(killed).lacks_lag
     assert call(main, "check", killed) == 3
     assert not [path for path in tmp_path.iterdir() if path.name.endswith(".lag.json")]
-    recover(killed, tmp_path / "recovered.mcap")
-    assert noted(tmp_path / "recovered.mcap")["lag_s"] == pytest.approx(LATE_S, abs=0.051)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,19 +15,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from common import UserError
 from common.car import CAMERAS
-from disk import files_of_at_most
-from lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
-from logs import flip_bit
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.lerobot import export
 from recorder.lerobot.dataset_files import DataFiles
 from recorder.lerobot.export import Exported, export_lerobot
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
-from udacity import call
+from tests.helpers.lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
+from tests.helpers.logs import flip_bit
+from tests.helpers.udacity import call
 
 DATA = "data/chunk-000/file-000.parquet"
 ROWS = range(len(TIMES_NS))
@@ -107,27 +103,6 @@ def test_what_tells_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
     ]
     groups = pq.ParquetFile(tmp_path / "out" / DATA).metadata
     assert [groups.row_group(number).num_rows for number in range(groups.num_row_groups)] == [8, 12]
-
-
-def test_an_episode_of_many_pictures_is_several_row_groups(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log = write_drives(tmp_path / "two.mcap")
-    export_lerobot([log], tmp_path / "whole")
-    monkeypatch.setattr(export, "_WRITTEN_BYTES", 1)
-    export_lerobot([log], tmp_path / "parts")
-    assert pq.ParquetFile(tmp_path / "parts" / DATA).num_row_groups == 20
-    assert pq.read_table(tmp_path / "parts" / DATA).equals(pq.read_table(tmp_path / "whole" / DATA))
-
-
-def test_statistics_of_several_episodes_are_those_of_all(tmp_path: Path) -> None:
-    export_lerobot([write_drives(tmp_path / "two.mcap")], tmp_path / "out")
-    stats = json.loads((tmp_path / "out/meta/stats.json").read_text())["action"]
-    action = np.array(pq.read_table(tmp_path / "out" / DATA)["action"].to_pylist())
-    assert stats["count"] == [20]
-    np.testing.assert_allclose(stats["mean"], action.mean(axis=0), atol=1e-9)
-    np.testing.assert_allclose(stats["std"], action.std(axis=0), atol=1e-9)
-    np.testing.assert_allclose([stats["min"], stats["max"]], [action.min(axis=0), action.max(axis=0)])
 
 
 def test_excluded_rows_stay_out_and_what_they_leave_is_two_episodes(
@@ -289,16 +264,6 @@ def test_an_export_that_is_interrupted_leaves_nothing(tmp_path: Path, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == ["two.mcap"]
 
 
-def test_a_disk_that_is_full_is_one_line(tmp_path: Path) -> None:
-    log = write_drives(tmp_path / "two.mcap")
-    with (
-        files_of_at_most(2_000),
-        pytest.raises(UserError, match=r"out: cannot be written \(.*\); nothing was kept of it"),
-    ):
-        export_lerobot([log], tmp_path / "out")
-    assert [path.name for path in tmp_path.iterdir()] == ["two.mcap"]
-
-
 def test_the_card_says_what_who_how_and_asks_for_a_licence(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "two.mcap", metadata={"driver": "ann|e <b>"})
     without: Exported = export_lerobot([log], tmp_path / "without")
@@ -311,15 +276,6 @@ def test_the_card_says_what_who_how_and_asks_for_a_licence(tmp_path: Path) -> No
     assert (without.folder / "picture.jpg").read_bytes() == jpeg("center", 0)
     export_lerobot([log], tmp_path / "with", licence="cc-by-4.0")
     assert 'license: "cc-by-4.0"' in (tmp_path / "with/README.md").read_text().partition("\n---\n")[0]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no colon in a file's name")
-def test_a_dataset_of_videos_may_have_a_time_in_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = write_drives(tmp_path / "two.mcap")
-    monkeypatch.chdir(tmp_path)
-    assert call(bc_log, "export", log, "--lerobot", "2026-11-28T10:30:00", "--video") == 0
-    videos = tmp_path / "2026-11-28T10:30:00/videos/observation.images.center"
-    assert (videos / "chunk-000/file-000.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 def test_as_videos_each_frame_is_at_its_timestamp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

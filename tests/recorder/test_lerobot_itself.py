@@ -16,12 +16,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from common.car import CAMERAS
-from lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
-from needs import LEROBOT_PYTHON
 from recorder import Log
 from recorder.lerobot.export import export_lerobot
 from recorder.sources.recording_kinds import import_recording
-from repository import ROOT
+from tests.helpers.lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
+from tests.helpers.needs import LEROBOT_PYTHON
+from tests.helpers.repository import ROOT
 
 PROGRAM: Final = ROOT / "tests" / "helpers" / "lerobot_program.py"
 ROWS: Final = range(len(TIMES_NS))

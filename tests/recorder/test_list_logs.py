@@ -8,16 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from logs import START_NS, STEP_NS, write_log
-from plain_mcap import plain_writer
-from recorder import Log
 from recorder.bc_pb2 import VehicleState
 from recorder.log.writer import LogWriter
 from recorder.log_cli import main
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.log_info import describe
-from udacity import call, picture
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.udacity import call, picture
 
 DAY_NS = 24 * 3600 * 10**9
 
@@ -115,51 +113,6 @@ def test_without_logs_it_says_how_to_begin(project: Path, capsys: pytest.Capture
     (project / "sessions").mkdir()
     assert call(main, "ls") == 1
     assert "bc-record" in capsys.readouterr().err
-
-
-def hostile(path: Path, name: str, values: dict[str, str]) -> Path:
-    """A log of another program, whose metadata `name` has these values."""
-    path.parent.mkdir(exist_ok=True)
-    with plain_writer(path, "bc", "somebody") as writer:
-        writer.add_metadata(name, values)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("name", "key"),
-    [
-        *(("bc.quality", key) for key in ("steering", "stretches", "picture_sizes", "meant_gaps")),
-        ("bc.quality", "first_picture_px"),
-        *(("bc.session", key) for key in ("car", "drive.speed")),
-    ],
-)
-def test_metadata_that_is_nested_deep_hides_no_log(
-    name: str, key: str, project: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monday = log_of(project / "sessions" / "monday.mcap", 3)
-    for depth in (600, 5000):
-        log = hostile(project / "sessions" / "deep.mcap", name, {key: '{"a":' * depth + "1" + "}" * depth})
-        assert names(capsys) == ["monday", "deep"]
-        assert call(main, "info", log, monday) == 0
-        assert "monday.mcap" in capsys.readouterr().out
-
-
-def test_a_failure_nobody_expects_hides_no_log(
-    project: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("monday", "tuesday"):
-        log_of(project / "sessions" / f"{name}.mcap", 3)
-
-    def fails_on_monday(log: Log) -> dict[str, str]:
-        if "monday" in log.path.name:
-            raise ZeroDivisionError("of a library")
-        return {}
-
-    monkeypatch.setattr(Log, "metadata", property(fails_on_monday))
-    assert call(main, "ls") == 1
-    output = capsys.readouterr()
-    assert "tuesday" in output.out
-    assert "sessions/monday.mcap: cannot be read (ZeroDivisionError of a library)" in output.err
 
 
 def test_a_recording_of_simulated_time_has_the_date_of_its_file(

@@ -7,7 +7,6 @@ import contextlib
 import os
 import random
 import re
-import shutil
 import signal
 import sys
 import threading
@@ -20,19 +19,19 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, IndexType
+from mcap.writer import CompressionType
 from mcap_protobuf.schema import register_schema
 
 from common import UserError, atomic_file, files
 from common.car import CAMERAS, Camera
-from logs import START_NS, STEP_NS, plain_read, read_messages, write_log
-from places import Place
-from plain_mcap import plain_writer
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log import writer as writing
 from recorder.topics import camera_topic
-from udacity import jpeg
+from tests.helpers.logs import START_NS, STEP_NS, plain_read, read_messages, write_log
+from tests.helpers.places import Place
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.udacity import jpeg
 
 
 def read_everything(path: Path) -> None:
@@ -167,15 +166,6 @@ def test_a_picture_is_found_whatever_the_order_of_its_messages_fields(tmp_path: 
         assert plain_read(path, int(pictures.offset[0]), int(pictures.length[0])) == b"the picture"
 
 
-@pytest.mark.parametrize("data", [b"", FORMAT], ids=["no field at all", "a format only"])
-def test_an_empty_picture_has_no_bytes(tmp_path: Path, data: bytes) -> None:
-    """Protobuf leaves an empty field out; the other pictures of the log are none the worse for it."""
-    path = tmp_path / "other.mcap"
-    write_raw(path, CompressionType.NONE, data)
-    with Log(path) as log:
-        assert log.pictures("/camera/center").length.tolist() == [0]
-
-
 @pytest.mark.parametrize("data", [b"\xff" * 40, b"\x12\x7fshort", b"\x12"])
 def test_a_message_that_is_no_picture_is_a_log_error(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other.mcap"
@@ -243,16 +233,6 @@ def test_an_existing_log_is_refused_at_once_and_stays(tmp_path: Path) -> None:
     assert len(read_messages(path)["/vehicle"]) == 2
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
-def test_a_link_to_nowhere_is_something_that_exists(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    path.symlink_to(tmp_path / "gone.mcap")
-    with pytest.raises(UserError, match=r"a\.mcap exists already"):
-        write_log(path, [0.1])
-    assert path.is_symlink()
-    assert not path.exists()
-
-
 def test_of_two_writers_on_one_name_one_wins_and_the_other_says_so(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writers = [LogWriter(path, {}), LogWriter(path, {})]
@@ -266,20 +246,6 @@ def test_of_two_writers_on_one_name_one_wins_and_the_other_says_so(tmp_path: Pat
     # what the loser made is not lost either: it is a whole log
     kept = writers[0].part.rename(tmp_path / "b.mcap")
     assert [state.steering for _, state in read_messages(kept)["/vehicle"]] == [0.1]
-
-
-def test_text_that_is_not_utf8_is_written_escaped(tmp_path: Path) -> None:
-    """Names of files go into logs, and on most systems they may be any bytes."""
-    name = os.fsdecode(b"caf\xe9")
-    with LogWriter(tmp_path / "a.mcap", {"recording": name, name: "José"}) as writer:
-        writer.event(1, f"skipped {name}", name=name)
-        writer.add_metadata(name, {})
-    [(_, event)] = read_messages(tmp_path / "a.mcap")["/events"]
-    assert (event.message, event.name) == ("skipped caf\\udce9", "caf\\udce9")
-    with (tmp_path / "a.mcap").open("rb") as stream:
-        metadata = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
-    assert metadata["bc.session"].items() >= {"recording": "caf\\udce9", "caf\\udce9": "José"}.items()
-    assert "caf\\udce9" in metadata
 
 
 @pytest.mark.parametrize("live", [True, False])
@@ -443,51 +409,4 @@ def test_the_fingerprint_changes_with_any_byte_of_any_picture(tmp_path: Path) ->
     assert len(others | {original}) == 10
 
 
-def test_the_fingerprint_is_the_contents_not_the_files(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.mcap", [0.1, 0.2])
-    copied = tmp_path / "elsewhere" / "b.mcap"
-    copied.parent.mkdir()
-    shutil.copy(path, copied)
-    assert fingerprint(path) == fingerprint(copied) == fingerprint(write_log(tmp_path / "c.mcap", [0.1, 0.2]))
-    assert fingerprint(path) != fingerprint(write_log(tmp_path / "d.mcap", [0.1, 0.25]))
-
-
-def test_what_was_made_stays_if_its_name_is_taken_meanwhile(tmp_path: Path) -> None:
-    path = tmp_path / "file.txt"
-
-    def write() -> None:
-        with atomic_file(path, overwrite=False) as part:
-            part.write_text("mine")
-            path.write_text("theirs")
-
-    with pytest.raises(UserError, match=r"file\.txt\.[0-9a-f]+\.part"):
-        write()
-    assert sorted(file.read_text() for file in tmp_path.iterdir()) == ["mine", "theirs"]
-    assert path.read_text() == "theirs"
-
-
 # Finished logs of other programs, whose summary leaves out what the specification lets them
-
-
-@pytest.mark.parametrize(
-    "left_out",
-    [
-        {"use_chunking": False},
-        {"repeat_channels": False},
-        {"repeat_schemas": False},
-        {"index_types": IndexType.NONE},
-    ],
-    ids=str,
-)
-def test_a_finished_log_with_a_sparse_summary_is_a_finished_one(tmp_path: Path, left_out: dict[str, Any]) -> None:
-    path = tmp_path / "other.mcap"
-    with plain_writer(path, **left_out) as writer:
-        schema = register_schema(writer, CompressedImage)
-        channel = writer.register_channel("/camera/center", "protobuf", schema)
-        for number in range(3):
-            writer.add_message(channel, number, CompressedImage(data=bytes([number])).SerializeToString(), number)
-    with Log(path) as log:
-        assert (log.problem, log.notice, log.lost) == ("", "", [])
-        pictures = log.pictures("/camera/center")
-        places = zip(pictures.offset.tolist(), pictures.length.tolist(), pictures.chunk.tolist(), strict=True)
-        assert [log.read(*place) for place in places] == [b"\0", b"\1", b"\2"]

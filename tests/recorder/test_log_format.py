@@ -19,12 +19,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import StoragePlugin
 
 from common.car import CAMERAS, Camera
-from driving import road_jpeg, run, run_code, untrained_run
-from imports import import_csv
-from logs import START_NS, STEP_NS, plain_read, read_messages
 from model.evaluation.predict_log import predict_log
-from other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
-from panorama import write_drive
 from recorder import Log, LogWriter, import_udacity
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.lerobot.export import export_lerobot
@@ -37,10 +32,15 @@ from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
-from repository import ROOT
-from tubs import record_1, record_2, write_tub_1, write_tub_2
-from udacity import jpeg as one_picture
-from udacity import make_recording, paths
+from tests.helpers.driving import road_jpeg, run, run_code, untrained_run
+from tests.helpers.imports import import_csv
+from tests.helpers.logs import START_NS, STEP_NS, plain_read, read_messages
+from tests.helpers.other_logs import DRIVE, ROS_TOPICS, TOPICS, write_bag, write_mcap
+from tests.helpers.panorama import write_drive
+from tests.helpers.repository import ROOT
+from tests.helpers.tubs import record_1, record_2, write_tub_1, write_tub_2
+from tests.helpers.udacity import jpeg as one_picture
+from tests.helpers.udacity import make_recording, paths
 from viz.playback.prediction_log import write_predictions
 
 PAGE = (ROOT / "docs" / "log-format.md").read_text(encoding="utf-8")
@@ -248,9 +248,11 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
     )
     export_lerobot([path["udacity"]], folder / "dataset")
     import_recording(folder / "dataset", path["lerobot"])
-    settings = 'id = "toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
+    settings = (
+        'id = "tests.helpers.toy_environment:toy/Bar-v0"\naction = "steering,throttle"\nargs.max_episode_steps = 3'
+    )
     (folder / "bar.toml").write_text(settings)
-    bar = GymFlags(str(folder / "bar.toml"), expert="toy_environment:centre")
+    bar = GymFlags(str(folder / "bar.toml"), expert="tests.helpers.toy_environment:centre")
     record_gymnasium(GymRecording(bar), path["gym"])
 
     evaluated = run(
@@ -322,11 +324,6 @@ def test_every_event_stands_on_the_page(every_kind: dict[str, Written]) -> None:
     events = {event for written in every_kind.values() for event in written.events}
     assert events
     assert [event for event in events if not any(pattern.fullmatch(event) for pattern in patterns)] == []
-
-
-def test_the_page_links_bc_proto() -> None:
-    assert "\n[recorder/bc.proto](../recorder/bc.proto)\n" in PAGE
-    assert "PROTO" not in PAGE
 
 
 @pytest.mark.parametrize("message", [VehicleState, PilotCommand, Prediction])

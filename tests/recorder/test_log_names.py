@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import re
-import shlex
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from common.errors import UserError
-from driving import one_line_in
-from logs import write_log
 from recorder.log.tags import tags_path
 from recorder.log_cli import main as bc_log
 from recorder.log_flag import named_log
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 from viz.cli import main as bc_play
 
 
@@ -81,37 +78,3 @@ def test_a_name_of_two_logs_is_not_guessed(capsys: pytest.CaptureFixture[str]) -
 def test_a_name_that_is_nearly_one_is_recognised(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_log, "info", "laek") == 1
     assert one_line_in(capsys).endswith("did you mean lake?")
-
-
-def test_the_command_in_a_message_can_be_typed_for_a_name_with_a_space(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("my lake.mcap.ab12cd.part").write_bytes(Path("sessions/lake.mcap").read_bytes()[:-50])
-    assert call(bc_log, "info", "my lake.mcap.ab12cd.part") == 3
-    command = re.search("`(bc-log) (recover .*?)`", capsys.readouterr().err)
-    assert command is not None
-    assert call(bc_log, *shlex.split(command[2])) == 0
-    assert capsys.readouterr().out.startswith("my lake.mcap: 20 rows")
-
-
-def test_a_folder_is_no_log_and_its_logs_can_be_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("my logs").mkdir()
-    for name, advised in (("sessions", "sessions"), ("my logs", "'my logs'")):
-        assert call(bc_log, "info", name) == 1
-        assert one_line_in(capsys).endswith(f"; `bc-log ls {advised}` lists the logs in it")
-
-
-def test_a_file_of_the_name_comes_first(tmp_path: Path) -> None:
-    Path("lake").write_bytes(b"")
-    assert named_log(Path("lake")) == Path("lake")
-    assert named_log(tmp_path / "lake") == tmp_path / "lake"
-    assert named_log(Path("none")) == Path("none")
-
-
-def test_a_folder_of_the_name_hides_no_session(capsys: pytest.CaptureFixture[str]) -> None:
-    for folder in ("lake", "sessions/lake"):
-        Path(folder).mkdir()
-    assert call(bc_log, "info", "lake") == 0
-    assert call(bc_play, "lake", "--save", "lake.rrd") == 0
-    assert "sessions/lake.mcap" in capsys.readouterr().out
-    shutil.copy("sessions/lake.mcap", "lake/first.mcap")
-    assert call(bc_log, "ls", "lake") == 0  # it takes folders
-    assert capsys.readouterr().err == "next: `bc-play lake/first.mcap`\n"

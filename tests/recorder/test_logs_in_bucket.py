@@ -15,22 +15,22 @@ from typing import Any
 import localbucket
 import pytest
 
-from bucket import Answer, Bucket
 from common.errors import ObjectChangedError, StoreError, UsageError
 from common.location import Url, location, relative_to
-from disk import files_of_at_most
-from driving import one_line_in
-from faulty_proxy import Passing
-from layouts import mixed
-from logs import flip_bit, write_log
-from long_log import lengthened
-from mcap_patch import patched
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
-from udacity import call, picture
+from tests.helpers.bucket import Answer, Bucket
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import one_line_in
+from tests.helpers.faulty_proxy import Passing
+from tests.helpers.layouts import mixed
+from tests.helpers.logs import flip_bit, write_log
+from tests.helpers.long_log import lengthened
+from tests.helpers.mcap_patch import patched
+from tests.helpers.udacity import call, picture
 
 ROWS = 40
 

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from logs import START_NS
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.meant_gaps import MeantGap, meant_rows
+from recorder.log.findings import Findings
+from recorder.log.meant_gaps import MeantGap
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
-from udacity import call, jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.udacity import call, jpeg
 
 HUMAN, PILOT = "manual: a human drives", "manual: the pilot drives again"
 EVENT = "not recorded: 1.000 s, the car was pushed off its line"
@@ -146,8 +147,14 @@ def test_an_unfinished_log_is_asked_for_them(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("told", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
-def test_what_another_program_says_of_them_is_no_error(told: str) -> None:
-    assert meant_rows({"meant_gaps": told}) == []
+def test_what_another_program_says_of_them_is_no_error(told: str, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.mcap", {"source": "test"}) as writer:
+        writer.vehicle(START_NS, 0, VehicleState())
+    with Log(tmp_path / "a.mcap") as log:
+        quality = log.read_metadata("bc.quality")
+    found = Findings.from_metadata({**quality, "meant_gaps": told})
+    assert found is not None
+    assert found.meant_gaps == []
 
 
 def test_a_pause_of_a_recorder_that_people_switch_is_no_finding(

@@ -10,6 +10,7 @@ import pytest
 
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
+from recorder.log.findings import Findings
 from recorder.rows.odd_stretches import OddStretch, odd_advice, odd_lines, odd_stretches
 from recorder.rows.row_quality import States
 from recorder.sources.udacity_recording import read_udacity
@@ -131,10 +132,10 @@ def test_a_log_keeps_what_is_odd_and_an_earlier_one_is_measured(
     expected = odd_stretches(states)
     assert [stretch.kind for stretch in expected] == ["backwards"]
     assert written("a.mcap") == expected
-    monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {})
-    assert written("earlier.mcap") == expected
-    monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {"odd": "[{}]"})
-    assert written("foreign.mcap") == expected
+    as_metadata = Findings.as_metadata
+    for name, other in (("earlier", {"odd": ""}), ("foreign", {"odd": "[{}]"})):
+        monkeypatch.setattr(Findings, "as_metadata", lambda self, other=other: as_metadata(self) | other)
+        assert written(f"{name}.mcap") == expected
 
 
 def test_what_is_odd_ends_with_the_command_that_excludes_it() -> None:

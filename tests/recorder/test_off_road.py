@@ -8,19 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs import START_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.pose_message import pose_message
 from recorder.log.road_places import states_of
+from recorder.log.writer import pose_message
 from recorder.log_cli import main as bc_log
-from recorder.rows.odd_stretches import odd_stretches
-from recorder.rows.road_edge import off_road_rows
+from recorder.rows.odd_stretches import odd_stretches, off_road_rows
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
-from udacity import call
+from tests.helpers.logs import START_NS
+from tests.helpers.udacity import call
 
 ROWS = 200
 RATE_HZ = 10

@@ -6,12 +6,13 @@ and Rerun's.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
 import subprocess
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -21,21 +22,26 @@ import cv2
 import numpy as np
 import pyarrow as pa
 import pytest
+from foxglove import layouts
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Message, Schema
 from rerun.chunk import McapReader as RerunReader
 
 from common.car import CAMERAS, Camera
-from driving import road_jpeg
-from layouts import is_of_pictures, write_as_before
-from needs import FOXGLOVE
-from plain_mcap import contents
-from recorder import Log, LogWriter
+from recorder import Log, LogWriter, topics
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
+from recorder.topics import camera_topic
 from recorder.upkeep.edit import merge
+from tests.helpers.driving import road_jpeg
+from tests.helpers.layouts import is_of_pictures, write_as_before
+from tests.helpers.needs import FOXGLOVE
+from tests.helpers.plain_mcap import contents
+from tests.helpers.repository import ROOT
+from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz.viewer_process import viewer_program
-from waiting import PATIENCE_S, wait_until
 
 START_NS, STEP_NS = 1_720_880_000_000_000_000, 40_000_000
 ROWS, ROWS_A_PICTURE, ROWS_AN_EVENT = 300, 30, 20
@@ -161,41 +167,6 @@ def ours(path: Path) -> Read:
         return gathered(stored for chunk in opened.chunks for stored in opened.messages_of(chunk))
 
 
-def test_logs_are_complete_and_their_layouts_have_their_names(
-    written: dict[tuple[str, str], Path],
-) -> None:
-    pictures = ROWS // ROWS_A_PICTURE
-    counts = {f"/camera/{camera}": pictures for camera in CAMERAS} | {"/pilot/input": pictures}
-    counts |= dict.fromkeys(("/vehicle", "/pilot/command", "/pose", "/prediction/pilot"), ROWS)
-    counts["/events"] = 1 + ROWS // ROWS_AN_EVENT
-    for (layout, name), path in written.items():
-        twice = 2 if name == LOGS[2] else 1
-        kinds = [{is_of_pictures(message.topic) for message in chunk.messages} for chunk in contents(path).chunks]
-        if layout == LAYOUTS[0]:
-            assert {True, False} not in kinds
-            assert min(kinds.count({True}), kinds.count({False})) > 1
-            assert [attached for attached, _ in contents(path).attachments] == ["bc.pictures", "bc.chunks"]
-        else:
-            assert {True, False} in kinds
-            assert contents(path).attachments == []
-        with Log(path) as opened:
-            assert opened.counts == {topic: twice * count for topic, count in counts.items()}
-    for name in LOGS:
-        assert ours(written[LAYOUTS[0], name]) == ours(written[LAYOUTS[1], name])
-
-
-def test_the_messages_of_a_topic_are_those_of_the_chunks(log: Path) -> None:
-    expected = ours(log)
-    with Log(log) as opened:
-        assert opened.schemas == {topic: name for topic, (name, *_) in expected.schemas.items()}
-        for topic, messages in expected.messages.items():
-            of_topic = []
-            for message in opened.messages(topic):
-                content = digest(opened.read(message.offset, message.length, message.chunk))
-                of_topic.append(Told(message.sequence, message.log_time_ns, message.log_time_ns, content))
-            assert of_topic == messages, topic
-
-
 # mcap
 
 
@@ -210,16 +181,6 @@ def test_mcaps_own_reader_agrees(log: Path) -> None:
     def read(log_time_order: bool, reverse: bool) -> Read:
         with log.open("rb") as stream:
             reader = SeekingReader(stream, validate_crcs=True)
-            return gathered(reader.iter_messages(log_time_order=log_time_order, reverse=reverse))
-
-    mcap_reads_the_same(read, ours(log))
-
-
-def test_mcaps_own_reader_of_a_pipe_agrees(log: Path) -> None:
-    def read(log_time_order: bool, reverse: bool) -> Read:
-        with subprocess.Popen(["cat", str(log)], stdout=subprocess.PIPE) as pipe:
-            assert pipe.stdout is not None
-            reader = NonSeekingReader(pipe.stdout, validate_crcs=True)
             return gathered(reader.iter_messages(log_time_order=log_time_order, reverse=reverse))
 
     mcap_reads_the_same(read, ours(log))
@@ -370,3 +331,89 @@ def test_rerun_finds_nothing_wrong(log: Path, name: str) -> None:
                 assert re.search(r"^PROBLEM .* {2}\d+ unordered chunks on \w+, \d+ unordered chunks on \w+$", line)
             else:
                 assert line.startswith("ok ")
+
+
+LAYOUT = ROOT / "docs" / "foxglove-layout.json"
+SCHEMAS: dict[str, Any] = {
+    **{camera_topic(camera): CompressedImage.DESCRIPTOR for camera in CAMERAS},
+    topics.PILOT_INPUT: CompressedImage.DESCRIPTOR,
+    topics.VEHICLE: VehicleState.DESCRIPTOR,
+    topics.PILOT_COMMAND: PilotCommand.DESCRIPTOR,
+    topics.EVENTS: LogMessage.DESCRIPTOR,
+    topics.POSE: PoseInFrame.DESCRIPTOR,
+}
+PANELS: dict[str, type] = {
+    "Image": layouts.ImageConfig,
+    "Plot": layouts.PlotConfig,
+    "StateTransitions": layouts.StateTransitionsConfig,
+    "RosOut": layouts.LogConfig,
+}
+TITLE = "foxglovePanelTitle"
+
+
+@pytest.fixture(scope="module")
+def foxglove_layout() -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(LAYOUT.read_text(encoding="utf-8"))
+    return content
+
+
+def texts(value: object) -> Iterator[str]:
+    """Every text in it, however deep."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for inner in value.values():
+            yield from texts(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from texts(inner)
+
+
+def named(foxglove_layout: dict[str, Any]) -> set[str]:
+    """The topics and message paths that its panels name."""
+    return {text for text in texts(foxglove_layout["configById"]) if text.startswith("/")}
+
+
+def settings_of(kind: type) -> set[str]:
+    """The settings of a panel, or of a line of its, as its JSON calls them."""
+    names = {field.name for field in dataclasses.fields(kind)}
+    return {re.sub(r"_(\w)", lambda match: match[1].upper(), name) for name in names}
+
+
+def test_every_message_path_leads_to_a_number_or_a_word_of_our_messages(foxglove_layout: dict[str, Any]) -> None:
+    paths = named(foxglove_layout) - SCHEMAS.keys()
+    assert len(paths) > 10
+    for path in paths:
+        topic, *names = path.split(".")
+        message = SCHEMAS[topic]
+        for name in names:
+            assert name in message.fields_by_name, path
+            message = message.fields_by_name[name].message_type
+        assert message is None, path  # a message has fields, a number has none
+
+
+def test_it_shows_every_topic_and_every_number_of_our_messages(foxglove_layout: dict[str, Any]) -> None:
+    shown = named(foxglove_layout)
+    assert {path.split(".")[0] for path in shown} == SCHEMAS.keys()
+    for topic in (topics.VEHICLE, topics.PILOT_COMMAND):
+        numbers = {field.name for field in SCHEMAS[topic].fields} - {"not_recorded_s"}  # a row of many has it
+        assert {f"{topic}.{name}" for name in numbers} <= shown
+
+
+def test_pictures_and_events_are_given_to_panels_that_show_them(foxglove_layout: dict[str, Any]) -> None:
+    panels = foxglove_layout["configById"]
+    pictures = {panel["imageMode"]["imageTopic"] for name, panel in panels.items() if name.startswith("Image!")}
+    assert pictures == {topic for topic, schema in SCHEMAS.items() if schema is CompressedImage.DESCRIPTOR}
+    logs = {panel["topicToRender"] for name, panel in panels.items() if name.startswith("RosOut!")}
+    assert logs == {topic for topic, schema in SCHEMAS.items() if schema is LogMessage.DESCRIPTOR}
+
+
+def test_panels_have_settings_that_foxgloves_sdk_knows(foxglove_layout: dict[str, Any]) -> None:
+    for name, panel in foxglove_layout["configById"].items():
+        kind = PANELS[name.split("!")[0]]
+        assert panel.keys() - {TITLE} <= settings_of(kind), name
+        assert panel.get("imageMode", {}).keys() <= settings_of(layouts.ImageModeConfig)
+        line = layouts.StateTransitionsSeries if kind is layouts.StateTransitionsConfig else layouts.PlotSeries
+        for path in panel.get("paths", []):
+            assert path.keys() <= settings_of(line), name
+            assert path["enabled"] is True  # one that is left out is not drawn

@@ -9,17 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from driving import one_line_in
-from logs import read_messages
-from other_logs import DRIVE, TOPICS, write_mcap
 from recorder import Imported, Log, LogWriter, RecordingError, import_udacity
-from recorder.cli import main as bc_record
 from recorder.import_cli import main
 from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_follow import watch_udacity
-from tubs import record_1, write_tub_1
-from udacity import call, jpeg, make_recording, paths
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import read_messages
+from tests.helpers.tubs import record_1, write_tub_1
+from tests.helpers.udacity import call, jpeg, make_recording, paths
 
 Record = Callable[..., Imported]
 ROWS = "".join(f"IMG/{number}.jpg,,,0.{number},0.5,0,{20 + number}.5\n" for number in range(1, 5))
@@ -113,15 +111,6 @@ def test_a_rate_for_pictures_that_tell_their_times_is_refused(tmp_path: Path, re
     assert not (tmp_path / "log.mcap").exists()
 
 
-@pytest.mark.parametrize("rate", ["-20", "nan", "1e9", "0.5"])
-def test_a_rate_that_no_camera_has_is_refused(tmp_path: Path, rate: str) -> None:
-    make_folder(tmp_path / "torcs")
-    for record in (imported, watched):
-        with pytest.raises(RecordingError, match=r"--rate .* 1 to 1,000"):
-            record(tmp_path / "torcs", tmp_path / "log.mcap", float(rate))
-    assert [path.name for path in tmp_path.iterdir()] == ["torcs"]
-
-
 def test_a_tub_without_times_at_another_rate(tmp_path: Path) -> None:
     records = {number: record_1(number) for number in range(4)}
     for values in records.values():
@@ -133,17 +122,6 @@ def test_a_tub_without_times_at_another_rate(tmp_path: Path) -> None:
         number * 100_000_000 for number in range(4)
     ]
     assert metadata_of(done.path)["clock"].startswith("10 Hz, as --rate said")
-
-
-def test_a_rate_where_every_message_has_its_time_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(bc_record, "listen", "x", "--rate", 20, "--sessions", tmp_path) == 2
-    assert "--rate" in capsys.readouterr().err
-    source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    topics = ("--image", TOPICS.image, "--steering", TOPICS.steering)
-    assert call(main, source, "x", *topics, "--rate", 20, "--sessions", tmp_path) == 1
-    assert "--rate: its messages have their times; leave it out" in capsys.readouterr().err
 
 
 # Pictures of different sizes
@@ -176,14 +154,3 @@ def test_cameras_of_different_sizes_are_told(tmp_path: Path) -> None:
             "pictures of different sizes: 320x160 on /camera/center, 640x480 on /camera/left;"
             " they should show the same part of the world"
         ]
-
-
-def test_pictures_of_different_sizes_are_no_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_tub_1(tmp_path / "tub", {number: record_1(number) for number in range(4)})
-    (folder / "2_cam-image_array_.jpg").write_bytes(picture_of(320, 240))
-    assert call(main, folder, "car", "--sessions", tmp_path) == 0
-    printed = capsys.readouterr()
-    assert "pictures of different sizes on /camera/center: 3 pictures of 160x120 (first: row 0)" in " ".join(
-        printed.err.split()
-    )
-    assert "4 rows, 4 pictures" in printed.out

@@ -15,16 +15,16 @@ from common.location import Url
 from common.object_store import list_objects
 from common.store_connection import forget_stores
 from dataset import IndexConfig, build_index, load
-from driving import one_line_in
-from emulators import ACCOUNT_KEY, put_in_gcs, serving_gcs, serving_googles_xml, way_to_azurite
-from faulty_proxy import FaultyProxy, Passing
-from logs import write_log
 from recorder import Log
 from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
 from recorder.upkeep.copy_log import copy_log
-from udacity import call, jpeg
+from tests.helpers.driving import one_line_in
+from tests.helpers.emulators import ACCOUNT_KEY, put_in_gcs, serving_gcs, serving_googles_xml, way_to_azurite
+from tests.helpers.faulty_proxy import FaultyProxy, Passing
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call, jpeg
 
 TAG = Tag(1, 2, "exclude")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import math
 import signal
 import threading
 import time
@@ -21,18 +20,15 @@ import pytest
 from common import UserError
 from common.car import CAMERAS, Camera
 from dataset import build_index
-from disk import files_of_at_most
-from driving import Process, command, road_jpeg
 from recorder import Imported, Log, RecordingError
 from recorder.cli import main as record_main
 from recorder.log.road_places import last_place_m
 from recorder.log.tags import Tag, read_tags
 from recorder.rows.row_quality import usual_step
 from recorder.sources import person_rows
-from recorder.sources.eye_pictures import PictureScale, WhenDue
+from recorder.sources.eye_pictures import PictureScale
 from recorder.sources.frame_rate import check_row_rate, is_row_step
 from recorder.sources.person_pedals import CoursePedals
-from recorder.sources.real_time import RealTime
 from recorder.sources.record_person import record_person
 from recorder.sources.settings import PersonDrive
 from recorder.teleop.open_wheels import open_wheels
@@ -42,13 +38,12 @@ from recorder.upkeep.recover import recover
 from simulator.driving.course import Course
 from simulator.driving.simulation import Simulation
 from simulator.pose import Pose
-from simulator.rendering.camera import Picture
 from simulator.roads.track import load_track
-from udacity import call
-from waiting import wait_until
-from wheel_page import WheelPage
-
-State = dict[str, Any]
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, command, road_jpeg
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_page import WheelPage
 
 
 class PersonsPage(WheelPage):
@@ -175,12 +170,6 @@ def test_rows_come_at_the_rate_and_never_pile_up(rate_hz: float) -> None:
     steps = [step for step in range(1, 5001) if is_row_step(step, rate_hz)]
     assert len(steps) == round(100 * rate_hz)
     assert np.ptp(np.diff(steps)) == (0 if (50 / rate_hz).is_integer() else 1)
-
-
-@pytest.mark.parametrize("rate_hz", [0, -10, 7, 40, 100, math.nan, math.inf])
-def test_rates_that_no_steps_can_have_are_refused(rate_hz: float) -> None:
-    with pytest.raises(RecordingError, match="--rate"):
-        check_row_rate(rate_hz)
 
 
 def test_a_drive_ends_where_the_next_one_can_begin(tmp_path: Path) -> None:
@@ -425,30 +414,3 @@ def test_eye_pictures_shrink_on_a_slow_computer_and_grow_again() -> None:
         scale.note(0.002)
     assert scale.scale == 2.0
     assert not scale.is_recorded_enough()
-
-
-def test_a_larger_picture_shows_the_same_view(tmp_path: Path) -> None:
-    simulation = Simulation("lake")
-    small = simulation.picture().astype(np.float32)
-    large: Picture = simulation.picture(scale=2.0)
-    assert large.shape == (320, 640, 3)
-    halved = cv2.resize(large, (320, 160), interpolation=cv2.INTER_AREA).astype(np.float32)
-    shifted = np.abs(np.roll(small, 8, axis=1) - halved).mean()
-    assert np.abs(small - halved).mean() < min(6.0, shifted / 2)
-
-
-def test_the_first_step_that_steers_another_way_is_shown_at_once() -> None:
-    when_due = WhenDue()
-    steerings = [0, 0, 0, 0, 0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4, 0.3, 0.2, 0.1, 0, 0]
-    due = [when_due.is_due(step, steering) for step, steering in enumerate(steerings)]
-    shown = [step for step, is_due in enumerate(due) if is_due]
-    assert shown == [0, 2, 4, 5, 7, 9, 11, 12, 14, 16]
-
-
-def test_a_step_that_is_wanted_sooner_comes_at_most_its_length_earlier() -> None:
-    begin_s = time.monotonic()  # before the pace begins, so that a busy machine can only add to the time
-    real_time, wanted = RealTime(0.05), threading.Event()
-    wanted.set()
-    for _ in range(4):
-        real_time.wait(wanted)
-    assert time.monotonic() - begin_s >= 0.15

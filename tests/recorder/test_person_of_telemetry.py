@@ -15,8 +15,6 @@ from typing import Any
 
 import pytest
 
-from driving import road_jpeg
-from ports import free_ports
 from recorder import Imported, Log, RecordingError
 from recorder.log.tags import read_tags
 from recorder.rows.row_quality import States, drive_numbers
@@ -27,9 +25,11 @@ from recorder.sources.person_pedals import throttle_of_telemetry
 from recorder.sources.settings import ListenSettings
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check
-from serving import ModernClient, RawClient
-from waiting import PATIENCE_S
-from wheel_page import Shown, WheelPage
+from tests.helpers.driving import road_jpeg
+from tests.helpers.ports import free_ports
+from tests.helpers.serving import ModernClient, RawClient
+from tests.helpers.waiting import PATIENCE_S
+from tests.helpers.wheel_page import Shown, WheelPage
 
 
 def telemetry(picture: bytes = b"", **changed: object) -> dict[str, object]:

@@ -10,19 +10,18 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex, McapRecord, Statistics
+from mcap.records import ChunkIndex, McapRecord
 from mcap.writer import CompressionType
 
-from bytes_read import count_bytes, note_reads
 from common.car import CAMERAS
-from logs import flip_bit, write_log
-from mcap_patch import nested, patched
-from plain_mcap import CopiedTopics, contents, plain_writer
 from recorder import Log
 from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, split, trim
 from recorder.upkeep.recover import recover
-from udacity import picture
+from tests.helpers.logs import flip_bit, write_log
+from tests.helpers.mcap_patch import patched
+from tests.helpers.plain_mcap import CopiedTopics, contents, plain_writer
+from tests.helpers.udacity import picture
 
 PLACE = struct.Struct("<HIQIIIII")  # channel, row, time, chunk, offset, length, picture, its length
 CHUNK = struct.Struct("<QI")  # start, CRC
@@ -110,15 +109,6 @@ def test_what_cannot_be_is_not_believed(path: Path, change: Change) -> None:
     truth = given_out(path)
     patched(path, changed("bc.pictures", PLACE, change))
     contents(path)  # every CRC holds
-    assert given_out(path) == truth
-    assert kinds_of(path) == {NOT_OURS}
-
-
-@pytest.mark.parametrize("content", [b"hello", bytes(34 * ROWS * 3)])
-@pytest.mark.parametrize("name", ["bc.pictures", "bc.chunks"])
-def test_bytes_that_tell_nothing_are_not_believed(path: Path, name: str, content: bytes) -> None:
-    truth = given_out(path)
-    patched(path, lambda its_name, data: content if its_name == name else data)
     assert given_out(path) == truth
     assert kinds_of(path) == {NOT_OURS}
 
@@ -233,48 +223,6 @@ def test_what_the_summary_tells_falsely_of_a_chunk_is_found(
     assert given_out(path) == truth
 
 
-def test_rows_that_are_told_to_be_pictures_are_found(path: Path) -> None:
-    content = contents(path)
-    number = next(i for i, chunk in enumerate(content.chunks) if chunk.messages[0].topic == "/vehicle")
-
-    def as_pictures(index: ChunkIndex) -> None:
-        index.message_index_offsets = {1: next(iter(index.message_index_offsets.values()))}
-
-    truth = given_out(path)
-    patched(path, summary=of_chunks(as_pictures, number))
-    assert given_out(path) == truth
-    where = f"at byte {content.chunks[number].start:,}"
-    assert ("chunks with wrong topics in the summary", where) in check(path, look=False).findings
-
-
-def test_other_counts_than_there_are_pictures_are_not_believed(path: Path) -> None:
-    def one_more(record: McapRecord) -> None:
-        if isinstance(record, Statistics):
-            record.channel_message_counts[1] += 1
-
-    truth = given_out(path)
-    patched(path, summary=one_more)
-    assert given_out(path) == truth
-    assert kinds_of(path) == {NOT_OURS, "wrong message counts in the summary"}
-
-
-def test_lists_within_lists_are_given_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A few megabytes of them could take hours, and all memory."""
-
-    def very_many(record: McapRecord) -> None:
-        if isinstance(record, Statistics):
-            record.channel_message_counts[1] = 2**62
-
-    content = nested("bc.pictures", bytes(1 << 20), 200)
-    truth = given_out(path)
-    patched(path, lambda name, data: content if name == "bc.pictures" else data, very_many, within=200)
-    read = note_reads(monkeypatch)
-    assert given_out(path) == truth
-    assert count_bytes(read) < 3 * path.stat().st_size
-    assert "damaged attachments" in kinds_of(path)
-    assert count_bytes(read) < 50 * path.stat().st_size
-
-
 # Copies
 
 
@@ -310,22 +258,6 @@ def test_a_copy_in_other_chunks_is_read_as_it_is(path: Path, first_row: int, chu
         assert log.attachments == []
 
 
-def test_nothing_new_tells_the_places_of_another_file(path: Path, tmp_path: Path) -> None:
-    """Whoever makes a log of such a copy, and of the log itself, has one that tells its own places."""
-    copy = copied(path, tmp_path / "copy.mcap")
-    merged = merge([copy, path], tmp_path / "merged.mcap").path
-    made = [
-        trim(copy, tmp_path / "trimmed.mcap", (5, 30)).path,
-        recover(copy, tmp_path / "recovered.mcap").path,
-        merged,
-        *(written.path for written in split(merged, tmp_path / "drives")),
-    ]
-    assert len(made) == 5
-    for log in made:
-        assert [name for name, _ in contents(log).attachments] == ["bc.pictures", "bc.chunks"]
-        assert kinds_of(log) <= {"gaps in time"}
-
-
 def test_a_killed_log_may_tell_the_places_of_its_beginning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -352,10 +284,3 @@ def test_a_killed_log_may_tell_the_places_of_its_beginning(
         assert names.count("bc.chunks") == 1
         assert kinds_of(log) <= {"gaps in time"}
     assert contents(made[2]).by_topic == original.by_topic
-
-
-def test_places_of_what_another_program_wrote_are_not_ours(path: Path, tmp_path: Path) -> None:
-    """It may mean anything by these names, and they are copied."""
-    copy = copied(path, tmp_path / "copy.mcap", profile="")
-    assert given_out(copy) == given_out(path)
-    assert check(copy, look=False).findings == []

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from dataset import IndexConfig, build_index
-from driving import one_line_in
 from recorder import Log
 from recorder.cli import main as record_main
 from recorder.log_cli import main as log_main
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from simulator.roads.track import load_track
-from udacity import call
+from tests.helpers.driving import one_line_in
+from tests.helpers.udacity import call
 
 LAPS = 0.012
 

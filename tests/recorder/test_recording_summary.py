@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
-import other_logs
-import tubs
-from logs import write_log
 from recorder.sources.find_recording import recordings_in
 from recorder.sources.import_udacity import import_udacity
 from recorder.sources.recording_summary import summarize_recording
-from udacity import make_recording, paths
+from tests.helpers import other_logs, tubs
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import make_recording, paths
 
 CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(4))
 

@@ -10,17 +10,16 @@ import pytest
 from mcap.writer import CompressionType
 
 from dataset import IndexConfig, Samples, build_index
-from driving import one_line_in
-from layouts import write_as_before
-from logs import flip_bit, tags_of, write_log
-from plain_mcap import contents, write_plain
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
 from recorder.upkeep.check import check
-from recorder.upkeep.edit import rewrite, trim
-from recorder.upkeep.recover import recover
-from udacity import call, jpeg
+from recorder.upkeep.edit import rewrite
+from tests.helpers.driving import one_line_in
+from tests.helpers.layouts import write_as_before
+from tests.helpers.logs import flip_bit, tags_of, write_log
+from tests.helpers.plain_mcap import contents, write_plain
+from tests.helpers.udacity import call, jpeg
 
 STEERING = [round(0.02 * (row % 40) - 0.4, 2) for row in range(120)]
 CONFIG = IndexConfig(block_s=1.0, gap_s=0.2)
@@ -68,32 +67,6 @@ def test_it_and_its_rewrites_have_the_fingerprint_of_the_original(old: Path, tmp
     assert fingerprints(first)[1] != fingerprints(old)[1]
 
 
-@pytest.mark.parametrize("where", ["its end", "a picture"])
-def test_tags_come_along_when_it_is_damaged_and_recovered(old: Path, tmp_path: Path, where: str) -> None:
-    new = rewrite(old, tmp_path / "new.mcap").path
-    flip_bit(new, -20 if where == "its end" else contents(new).chunks[0].end - 20)
-    to = recover(new, tmp_path / "recovered.mcap").path
-    assert tags_of(to) == [(10, 20, "exclude")]
-
-
-def test_what_is_cut_out_of_it_is_another_log(old: Path, tmp_path: Path) -> None:
-    new = rewrite(old, tmp_path / "new.mcap").path
-    part = trim(new, tmp_path / "part.mcap", (0, 50)).path
-    assert fingerprints(part)[0] == fingerprints(part)[1] != fingerprints(old)[0]
-    assert "bc.rewritten" not in dict(contents(part).metadata)
-
-
-def test_a_record_that_others_copied_with_other_chunks_does_not_count(
-    old: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    new = rewrite(old, tmp_path / "new.mcap").path
-    monkeypatch.setattr("recorder.topics.REWRITTEN_METADATA", "not known to the version before")
-    part = trim(new, tmp_path / "part.mcap", (0, 50)).path
-    monkeypatch.undo()
-    assert "bc.rewritten" in dict(contents(part).metadata)
-    assert fingerprints(part)[0] == fingerprints(part)[1]
-
-
 def test_an_index_is_built_anew_and_holds_the_same_samples(old: Path, tmp_path: Path) -> None:
     session = Path(shutil.copy(old, tmp_path / "session.mcap"))
     build_index([session], tmp_path / "index", CONFIG)
@@ -126,23 +99,6 @@ def test_what_cannot_be_rewritten_says_what_to_do(old: Path, tmp_path: Path, kin
     with pytest.raises(LogError, match="bc-log recover" if kind == "killed" else "bc-import .* NAME"):
         rewrite(path, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
-
-
-def test_a_log_whose_metadata_another_program_left_out_stays_one_of_ours(old: Path, tmp_path: Path) -> None:
-    filtered = write_as_before(old, tmp_path / "filtered.mcap", with_metadata=False)
-    made = {
-        rewrite(filtered, tmp_path / "rewritten.mcap").path: "rewritten_from",
-        trim(filtered, tmp_path / "trimmed.mcap", (0, 119)).path: "trimmed_from",
-        recover(filtered, tmp_path / "recovered.mcap").path: "recovered_from",
-    }
-    for log, key in made.items():
-        content = contents(log)
-        assert content.profile == "bc"
-        assert content.by_topic == contents(old).by_topic
-        assert dict(content.metadata)["bc.session"].items() >= {"toolkit": "unknown", key: "filtered.mcap"}.items()
-        assert [name for name, _ in content.attachments] == ["bc.pictures", "bc.chunks"]
-        assert check(log).findings == []
-    assert fingerprints(tmp_path / "rewritten.mcap")[0] == fingerprints(filtered)[0]
 
 
 def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(

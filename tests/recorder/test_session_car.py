@@ -8,19 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from driving import one_line_in
-from logs import write_log
 from recorder import Log, LogWriter
-from recorder.cli import main as bc_record
-from recorder.errors import LogError
 from recorder.import_cli import main as bc_import
 from recorder.log.session_car import BUILT_IN, CAR_KEY, Car, max_steering_deg_of, named_car, stored_car
 from recorder.log_cli import main as bc_log
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
-from serving import fields
-from udacity import call, jpeg, paths
+from tests.helpers.driving import one_line_in
+from tests.helpers.logs import write_log
+from tests.helpers.serving import fields
+from tests.helpers.udacity import call, jpeg, paths
 
 OWN = """\
 max_steering_deg = 30
@@ -113,23 +111,6 @@ def test_a_file_with_other_settings_is_refused_in_one_line(
     assert call(bc_import, recording(), "own", "--car", "own.toml") == 1
     assert expected in one_line_in(capsys)
     assert not Path("sessions").exists()
-
-
-def test_a_missing_file_and_the_simulators_own_car_are_refused(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert call(bc_import, recording(), "own", "--car", "own.tml") == 1
-    assert "own.tml: no such file; expected udacity, built-in or FILE.toml" in one_line_in(capsys)
-    assert call(bc_record, "own", "--car", "udacity") == 2
-    assert "--car: no such flag" in one_line_in(capsys)
-
-
-@pytest.mark.parametrize("car", ["{", "[]", '{"wheelbase_m": -1}', '{"max_steering_deg": "NaN"}', '"udacity"'])
-def test_a_log_with_settings_of_no_car_is_told_not_believed(car: str) -> None:
-    with LogWriter(Path("bad.mcap"), {"source": "udacity", CAR_KEY: car}):
-        pass
-    with Log("bad.mcap") as log, pytest.raises(LogError, match=r"bad\.mcap: its car's settings cannot be used"):
-        stored_car(log)
 
 
 def test_sessions_of_other_steering_are_not_merged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

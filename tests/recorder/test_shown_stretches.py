@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from logs import START_NS
-from panorama import RATE_HZ, hand, views, write_drive
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
 from recorder.rows.row_quality import States
 from recorder.seen.shown_stretches import with_pictures
-from udacity import call
+from tests.helpers.logs import START_NS
+from tests.helpers.panorama import RATE_HZ, hand, views, write_drive
+from tests.helpers.udacity import call
 
 CYCLE_M = 12.0
 """After so much of the way, another wall is ahead."""

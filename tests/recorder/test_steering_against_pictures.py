@@ -13,15 +13,14 @@ from dataset.cli import main as bc_index
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_file import read_frames
 from dataset.frames.image_check_cache import write_image_check
-from panorama import RATE_HZ, Seconds, hand, views, write_drive
-from recorder import Log, LogWriter
+from recorder import Log
 from recorder.import_cli import main as bc_import
 from recorder.log.road_places import states_of
 from recorder.log_cli import main as bc_log
 from recorder.seen.steering_against_pictures import against_pictures
-from recorder.topics import POSE
 from recorder.upkeep.check import check
-from udacity import call
+from tests.helpers.panorama import RATE_HZ, Seconds, hand, views, write_drive
+from tests.helpers.udacity import call
 
 ROWS = 600
 WRONG_S = (20.0, 32.0)
@@ -86,22 +85,6 @@ def test_poses_decide_where_the_pictures_turn_the_other_way(tmp_path: Path) -> N
     assert found_in(drive) == expected
 
 
-def test_a_pose_that_cannot_be_read_leaves_the_pictures_to_decide(tmp_path: Path) -> None:
-    wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
-    whole = write_drive(tmp_path / "whole.mcap", views(ROWS), wheel, heading_rad=turned_by(wheel))
-    drive = tmp_path / "drive.mcap"
-    with Log(whole) as log, LogWriter(drive, dict(log.metadata)) as writer:
-        for schema, channel, message in (message for chunk in log.chunks for message in log.messages_of(chunk)):
-            if (channel.topic, message.sequence) == (POSE, 300):
-                message.data = b"no pose"
-            writer.copy(schema, channel, message, message.sequence)
-    assert found_in(whole) == []
-    assert found_in(drive) == [pytest.approx([at_s * RATE_HZ for at_s in WRONG_S], abs=10)]
-    checked = check(drive)
-    assert ("messages that do not match their schema", "/pose row 300") in checked.findings
-    assert [odd.kind for odd in checked.odd if odd.is_shown] == ["steering_against_pictures"]
-
-
 def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -133,7 +116,9 @@ def test_a_check_names_a_recording_that_is_mirrored(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_an_import_says_that_it_is_mirrored(side: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_index_says_that_a_session_is_mirrored(
+    side: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     steering = side * hand(np.arange(700) / RATE_HZ)
     lines = [f"{row}.jpg,{row / RATE_HZ},{steering[row]},15" for row in range(700)]
     for row, picture in enumerate(views(700)):
@@ -142,7 +127,8 @@ def test_an_import_says_that_it_is_mirrored(side: int, tmp_path: Path, capsys: p
     csv.write_text("\n".join(["image,t,steering,mph", *lines]))
     columns = ("image=image", "time_s=t", "steering=steering", "speed_mph=mph")
     assert call(bc_import, csv, "a", "--columns", *columns, "--sessions", tmp_path / "sessions") == 0
-    assert ("a.mcap: its pictures turn the other way" in capsys.readouterr().err) is (side < 0)
+    assert call(bc_index, "--sessions", tmp_path / "sessions", "--index", tmp_path / "index") == 0
+    assert ("a: its pictures turn the other way" in capsys.readouterr().err) is (side < 0)
 
 
 def flagged_rows(index: Path) -> list[int]:

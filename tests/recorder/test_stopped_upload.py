@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from bucket import Bucket, in_parts_of, unfinished_parts
 from common.errors import ObjectExistsError, StoreError
-from faulty_proxy import Passing
-from logs import write_log
 from recorder.log_cli import main
 from recorder.upkeep.copy_log import copy_log
-from udacity import call
+from tests.helpers.bucket import Bucket, in_parts_of, unfinished_parts
+from tests.helpers.faulty_proxy import Passing
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call
 
 PARTS = 6
 AT_ONCE = 4  # parts that travel while others are given up may still arrive

@@ -16,7 +16,7 @@ from recorder.log.reader import Log
 from recorder.log_cli import main as log_main
 from recorder.upkeep.swapped_cameras import swapped_cameras
 from simulator.driving.simulation import Simulation
-from udacity import call
+from tests.helpers.udacity import call
 
 MOMENTS = 24
 
@@ -75,20 +75,6 @@ def test_a_camera_with_the_pictures_of_another_is_found(
     log = log_of(tmp_path / "a.mcap", [[centre, centre, right] for centre, _, right in seen])
     assert call(log_main, "check", log) == 3
     assert "  cameras with the same pictures: 1 (center and left; " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("size", [(640, 320), (160, 80)])
-def test_the_size_of_the_pictures_does_not_matter(
-    tmp_path: Path, seen: list[list[bytes]], size: tuple[int, int]
-) -> None:
-    def scaled(data: bytes) -> bytes:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        assert picture is not None
-        return jpeg(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-
-    swapped = [[scaled(centre), scaled(right), scaled(left)] for centre, left, right in seen]
-    with Log(log_of(tmp_path / "a.mcap", swapped)) as log:
-        assert swapped_cameras(log) == "left and right"
 
 
 def test_pictures_that_tell_nothing_are_not_called_swapped(tmp_path: Path, seen: list[list[bytes]]) -> None:

@@ -4,20 +4,17 @@ that somebody has looked at and tagged `fine` are not named again.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from logs import tags_of, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag
+from recorder.log.tags import Tag, TaggedRows
 from recorder.log_cli import main
 from recorder.rows.odd_stretches import OddStretch
-from udacity import call, picture
+from tests.helpers.logs import tags_of, write_log
+from tests.helpers.udacity import call, picture
 
 
 @pytest.fixture
@@ -65,7 +62,7 @@ def test_a_check_advises_to_exclude_only_what_it_finds_itself(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     noted = OddStretch("parked", 3, 9, 0.3, 0.9, "by the rules of an earlier version", is_sure=True)
-    monkeypatch.setattr("recorder.log.writer.odd_summary", lambda states: {"odd": json.dumps([asdict(noted)])})
+    monkeypatch.setattr("recorder.log.findings.odd_stretches", lambda states: [noted])
     log = write_log(tmp_path / "a.mcap", [0.1 * (row % 7) for row in range(60)], picture)
     assert call(main, "info", log) == 0
     assert "exclude --odd" in capsys.readouterr().err

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from disk import files_of_at_most
-from driving import PATIENCE_S, environment
 from recorder import LogError
 from recorder.log.tags import Tag, add_tags, check_name, read_tags, remove_tags, tags_by_content, tags_path
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import PATIENCE_S, environment
 
 CONTENT, OTHER_CONTENT = "a" * 64, "b" * 64
 
@@ -81,16 +79,6 @@ def test_wherever_a_crash_cuts_the_last_line_the_others_stay(log: Path) -> None:
         assert read_tags(log, CONTENT) == [first, third]
 
 
-def test_a_last_line_of_another_program_may_lack_its_line_feed(log: Path) -> None:
-    add_tags(log, CONTENT, [Tag(1, 2, "one"), Tag(3, 4, "exclude")])
-    whole = tags_path(log).read_bytes()
-    tags_path(log).write_bytes(whole[:-1])
-    assert read_tags(log, CONTENT) == [Tag(1, 2, "one"), Tag(3, 4, "exclude")]
-    add_tags(log, CONTENT, [Tag(5, 6, "three")])
-    assert tags_path(log).read_bytes().startswith(whole)
-    assert len(read_tags(log, CONTENT)) == 3
-
-
 DAMAGED = {
     "no JSON": b"exclude 3 5",
     "an empty line": b"",
@@ -124,16 +112,6 @@ def test_a_damaged_line_is_an_error_that_names_it_and_nothing_is_lost(log: Path,
     assert "\n" not in str(caught.value)
     add_tags(log, CONTENT, [Tag(3, 4, "exclude")])
     assert tags_path(log).read_bytes().startswith(before)
-
-
-def test_an_endless_file_is_refused_without_reading_it(log: Path) -> None:
-    tags_path(log).touch()
-    os.truncate(tags_path(log), 1 << 40)
-    with pytest.raises(LogError, match="larger than"):
-        read_tags(log, CONTENT)
-    with pytest.raises(LogError, match="larger than"):
-        add_tags(log, CONTENT, [Tag(0, 1, "good")])
-    assert tags_path(log).stat().st_size == 1 << 40
 
 
 def test_tags_that_would_make_the_file_unreadable_are_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,29 +153,6 @@ def test_tags_that_do_not_fit_on_the_disk_change_nothing(log: Path) -> None:
     with files_of_at_most(len(before) + size - 1), pytest.raises(LogError, match="cannot be written"):
         add_tags(log, CONTENT, tags)
     assert tags_path(log).read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda path: path.symlink_to(path.parent / "private.txt"),
-        lambda path: path.symlink_to(path.parent / "nothing"),
-        Path.mkdir,
-        os.mkfifo,
-    ],
-    ids=["a link elsewhere", "a link to nothing", "a folder", "a pipe"],
-)
-def test_what_is_no_plain_file_is_neither_read_nor_written(log: Path, make: Callable[[Path], object]) -> None:
-    """Logs come from other people, and a link among them may lead to any file of this machine."""
-    private = log.parent / "private.txt"
-    private.write_text("a line\nhalf a line")
-    make(tags_path(log))
-    with pytest.raises(LogError, match=r"lake\.tags\.jsonl: not a plain file"):
-        read_tags(log, CONTENT)
-    with pytest.raises(LogError, match=r"lake\.tags\.jsonl: not a plain file"):
-        add_tags(log, CONTENT, [Tag(1, 2, "exclude")])
-    assert private.read_text() == "a line\nhalf a line"
-    assert not (log.parent / "nothing").exists()
 
 
 ADD_MANY = """

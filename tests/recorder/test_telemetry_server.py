@@ -4,7 +4,6 @@ modes of the server; whoever else knocks costs one line."""
 from __future__ import annotations
 
 import contextlib
-import errno
 import gc
 import itertools
 import json
@@ -12,8 +11,6 @@ import random
 import re
 import socket
 import ssl
-import subprocess
-import sys
 import threading
 import urllib.error
 import urllib.request
@@ -24,16 +21,17 @@ import pytest
 import websocket
 from websocket import ABNF
 
-from driving import PATIENCE_S, environment
-from ports import free_ports
 from recorder.errors import ListenError
-from recorder.server import connection_guard, eventlet_host, telemetry_server
+from recorder.server import eventlet_host, telemetry_server
 from recorder.server.engineio_connection import Connection
 from recorder.server.eventlet_host import QuickAckGreenSocket
 from recorder.server.listening_socket import listen
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, Answer, Steer, TelemetryServer
-from serving import (
+from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
+from tests.helpers.driving import PATIENCE_S
+from tests.helpers.ports import free_ports
+from tests.helpers.serving import (
     PICTURES,
     UNUSED,
     Book,
@@ -47,8 +45,7 @@ from serving import (
     steering,
     tell,
 )
-from simulator.protocol.client import ServerCommand, SimulatorClient, SimulatorMessage, SimulatorTelemetry
-from waiting import wait_until
+from tests.helpers.waiting import wait_until
 
 
 def test_old_and_modern_clients_are_served_at_once_on_one_port() -> None:
@@ -346,16 +343,6 @@ def test_a_simulator_comes_over_ipv6(host: str, monkeypatch: pytest.MonkeyPatch)
     assert serving.said == []
 
 
-def test_an_address_of_a_family_that_is_not_here_is_one_line() -> None:
-    """As on a machine without IPv6."""
-
-    def refuse(*_: object) -> socket.socket:
-        raise OSError(errno.EAFNOSUPPORT, "Address family not supported by protocol")
-
-    with pytest.raises(ListenError, match=r"on \[::1\]:80 \(Address family .*; give an address of this machine"):
-        listen("::1", 80, refuse)  # type: ignore[arg-type]
-
-
 def test_broken_packets_are_hung_up_on_and_said_once() -> None:
     book = Book()
     broken: list[str | bytes] = [
@@ -376,18 +363,6 @@ def test_broken_packets_are_hung_up_on_and_said_once() -> None:
         wait_until(lambda: book.calls.count("connected") == book.calls.count("disconnected"))
     (line,) = serving.said
     assert "protocol" in line
-
-
-def test_empty_messages_are_passed_over() -> None:
-    with Serving(Book()) as serving:
-        client = RawClient(serving.port)
-        for number in range(2):
-            for empty, opcode in (("", ABNF.OPCODE_TEXT), (b"", ABNF.OPCODE_BINARY), ("4", ABNF.OPCODE_TEXT)):
-                client.websocket.send(empty, opcode)
-            client.tell(fields(number))
-            assert client.command() == steered(Steer(-steering(number), 0.5))
-        client.close()
-    assert serving.said == []
 
 
 def test_broken_frames_and_endless_messages_are_hung_up_on() -> None:
@@ -468,28 +443,6 @@ def test_who_speaks_something_else_costs_one_line_that_says_what_to_do(
     assert capfd.readouterr() == ("", "")  # no traceback either
 
 
-def test_who_says_nothing_at_all_costs_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection_guard, "REQUEST_S", 0.01)
-    monkeypatch.setattr(telemetry_server, "NO_TELEMETRY_S", 0.01)
-    with Serving(Book()) as serving:
-        for _ in range(2):
-            with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
-                assert stream.recv(1) == b""
-        wait_until(lambda: len(serving.said) == 1)
-        assert "sent nothing" in serving.said[0]
-        monkeypatch.setattr(connection_guard, "REQUEST_S", PATIENCE_S)
-        silent = RawClient(serving.port)
-        wait_until(lambda: len(serving.said) == 2)
-        assert "websocket" in serving.said[1]
-        assert "autonomous mode" in serving.said[1]
-        silent.tell(1)  # it is not hung up on: it may be in its menu
-        assert silent.command() == steered(UNUSED)
-        silent.close()
-        PollingClient(serving.port)
-        wait_until(lambda: len(serving.said) == 3)
-        assert "long polling" in serving.said[2]
-
-
 def ask(serving: Serving, count: int, seed: int) -> None:
     """Tell `count` malformed telemetries and a good one after each; every one gets one command."""
     chance = random.Random(seed)
@@ -550,18 +503,6 @@ def test_hundreds_of_malformed_telemetries_are_each_answered_once() -> None:
     with Serving(Book()) as serving:
         ask(serving, 600, seed=7)
     assert serving.said == []
-
-
-def test_serving_leaves_the_rest_of_the_process_alone() -> None:
-    code = """
-from recorder.server.telemetry_server import TelemetryServer
-TelemetryServer(None, port=0).run(lambda: True)
-from eventlet.patcher import is_monkey_patched as m; assert not m('socket') and not m('thread')
-"""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], env=environment(), capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])

@@ -18,11 +18,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from driving import environment
-from logs import read_messages
-from repository import ROOT
-from rrd import contents, view_names
-from waiting import PATIENCE_S
+from tests.helpers.driving import environment
+from tests.helpers.logs import read_messages
+from tests.helpers.repository import ROOT
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.waiting import PATIENCE_S
 
 CAMERA = ('"center", "left", "right"]', '"center", "left", "right", "rear"]')
 ENTRY = """
@@ -142,13 +142,6 @@ def test_they_are_checked(results: Any) -> None:
     assert ["rows out of order", "/imu row 7"] in hurt
     assert len(hurt) == 2
     assert not any(results["findings"].values())
-
-
-def test_they_are_edited_by_their_rows(folder: Path) -> None:
-    for topic in ("/camera/rear", "/imu"):
-        assert rows_on(folder / "trimmed.mcap", topic) == list(range(5, 15))
-        assert rows_on(folder / "merged.mcap", topic) == list(range(2 * ROWS))
-        assert rows_on(folder / "recovered.mcap", topic) == list(range(ROWS))
 
 
 def test_the_camera_is_indexed(folder: Path) -> None:

@@ -9,14 +9,14 @@ import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap.records import Channel, Message
 
-from bytes_read import note_reads
 from common.car import CAMERAS
 from dataset import IndexConfig, build_index
-from logs import START_NS, STEP_NS, not_a_picture
-from plain_mcap import Contents, contents
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.upkeep.log_info import describe
+from tests.helpers.bytes_read import note_reads
+from tests.helpers.logs import START_NS, STEP_NS, not_a_picture
+from tests.helpers.plain_mcap import Contents, contents
 
 PICTURES = {*(f"/camera/{camera}" for camera in CAMERAS), "/pilot/input"}
 ROWS = 200

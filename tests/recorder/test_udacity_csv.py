@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,12 +17,14 @@ from hypothesis import strategies as st
 from common import Skipped
 from recorder import RecordingError
 from recorder.sources.clean import clean, rows_to_write
+from recorder.sources.csv_lines import CsvTail
 from recorder.sources.imported_rows import SkippedEvents
 from recorder.sources.recorded_row import RecordedRow
 from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_csv import UTF16_MARKS
 from recorder.sources.udacity_recording import read_udacity
-from udacity import paths, picture_name
+from tests.helpers.growing_files import WAYS, begin_again
+from tests.helpers.udacity import paths, picture_name
 
 Values = tuple[float, float, float, float]
 HEADERS = ["center,left,right,steering,throttle,brake,speed", '"center", "left", "right", "steering"']
@@ -174,33 +177,53 @@ def test_any_bytes_give_a_recording_or_a_clear_error(folder: Path, csv: bytes) -
     assert len(recording.rows) + rows_skipped(recording) == count_rows(lines)
 
 
-@given(st.text(st.characters(exclude_characters='/\\,"\0\r\n', exclude_categories=["Cs"]), max_size=20))
-def test_any_name_of_a_picture_is_found(folder: Path, prefix: str) -> None:
-    """Spaces, accents, emoji: what the file system has is what the row says."""
-    name = f"x{prefix}_2024_07_13_14_30_16_000.jpg"
-    if len(name.encode()) > 250:
-        return
-    path = folder / "IMG" / name
-    path.touch()
-    try:
-        recording = read(folder, f"C:\\IMG\\{name},IMG/left.jpg, right.jpg,0,0,0,1\n".encode())
-        assert tuple(recording.rows[0].pictures.values()) == (name, "left.jpg", "right.jpg")
-        assert recording.pictures[name] == str(path.resolve())
-    finally:
-        path.unlink()
+def test_lines_are_given_once_each_when_they_have_their_end(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    tail = CsvTail(csv)
+    assert tail.new_lines() == []
+    given = []
+    for text in (b"one\r", b"\n", b"two\rthr", b"ee\n\nfi", b"ve\r", b"six\n", b"two\nsev"):
+        with csv.open("ab") as stream:
+            stream.write(text)
+        given.append(tail.new_lines())
+        assert tail.new_lines() == []
+    assert given == [
+        [(1, b"one")],
+        [],
+        [(2, b"two")],
+        [(3, b"three"), (4, b"")],
+        [(5, b"five")],
+        [(6, b"six")],
+        [(7, b"two")],
+    ]
+    assert tail.rest() == [(8, b"sev")]
 
 
-def test_a_name_with_a_line_end_is_named_like_any_other(tmp_path: Path) -> None:
-    (tmp_path / "IMG").mkdir()
-    for name in (picture_name("center", 1), "two\nlines.jpg"):
-        (tmp_path / "IMG" / name).touch()
-    recording = read(tmp_path, f"{paths(1)},0,0,0,1\n".encode())
-    assert ("pictures without a row", r"two\nlines.jpg") in list(recording.skipped)
+def test_a_file_that_is_appended_to_is_not_read_again(tmp_path: Path) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.write_bytes(b"".join(b"line %d\n" % number for number in range(1000)))
+    tail = CsvTail(csv)
+    assert len(tail.new_lines()) == 1000
+    with csv.open("r+b") as stream:
+        stream.write(b"LINE")  # whoever reads the beginning again sees a line that is new
+        stream.seek(0, os.SEEK_END)
+        stream.write(b"the last\n")
+    assert tail.new_lines() == [(1001, b"the last")]
 
 
-@pytest.mark.parametrize("piece", [" ", '"', ".jpg", ".jpg ", ".jpg,.jpg,", "0", ",", "1,", "0,5,"])
-def test_a_very_long_line_does_not_take_for_ever(folder: Path, piece: str) -> None:
-    long = piece * 300_000
-    csv = f"{paths(99)},0,0,0,1\n{long}x\n{paths(2)},{long}x\n".encode()
-    recording = read(folder, csv)
-    assert len(recording.rows) + rows_skipped(recording) == 3
+@pytest.mark.parametrize(
+    "text", [b"b\nd\n", b"a\nd\n", b"a\nb\nx\nd\n", b"d\n", b"new\nb\nc\nd\n", b"d\nd\nb\nd\n"]
+)
+@pytest.mark.parametrize("way", WAYS)
+def test_of_a_csv_that_begins_again_only_new_lines_are_given(tmp_path: Path, text: bytes, way: str) -> None:
+    csv = tmp_path / "driving_log.csv"
+    csv.write_bytes(b"a\nb\nc\npart")
+    tail = CsvTail(csv)
+    assert tail.new_lines() == [(1, b"a"), (2, b"b"), (3, b"c")]
+    begin_again(tail, text, way)
+    lines = list(enumerate(text.splitlines(), 1))
+    assert tail.new_lines() == [(number, line) for number, line in lines if line not in (b"a", b"b", b"c")]
+    with csv.open("ab") as stream:
+        stream.write(b"c\nd\ne\nb")
+    assert tail.new_lines() == [(len(lines) + 2, b"d"), (len(lines) + 3, b"e")]
+    assert tail.rest() == []

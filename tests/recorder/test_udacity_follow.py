@@ -20,11 +20,11 @@ from mcap.reader import NonSeekingReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from common.car import CAMERAS
-from driving import PATIENCE_S, Process
-from logs import read_messages
 from recorder import Imported, RecordingError, import_udacity
 from recorder.sources.udacity_follow import watch_udacity
-from udacity import jpeg, make_recording, paths, picture_name
+from tests.helpers.driving import PATIENCE_S, Process
+from tests.helpers.logs import read_messages
+from tests.helpers.udacity import jpeg, make_recording, paths, picture_name
 
 Found = dict[str, set[tuple[int, int, object]]]
 ROWS = [f"{paths(number)},{number / 100},0.5,0,{number + 0.25}" for number in range(6)]
@@ -205,25 +205,6 @@ def test_nothing_came(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         watch_udacity(tmp_path / "nowhere", tmp_path / "sessions" / "watched.mcap", idle_s=0)
     assert list(tmp_path.iterdir()) == []
     assert f"waiting for {tmp_path / 'nowhere' / 'driving_log.csv'}" in capsys.readouterr().err
-
-
-def test_no_line_could_be_used(tmp_path: Path) -> None:
-    make_recording(tmp_path / "drive", "junk\n")
-    with pytest.raises(
-        RecordingError,
-        match=r"no usable row; rows with fewer than three columns of pictures, or cut off: 1 \(line 1\)",
-    ):
-        watch_udacity(tmp_path / "drive", tmp_path / "watched.mcap", idle_s=0)
-    assert [path.name for path in tmp_path.iterdir()] == ["drive"]
-
-
-def test_links_out_of_the_recording_are_not_followed(tmp_path: Path) -> None:
-    make_recording(tmp_path / "private", f"{ROWS[0]}\n", [0])
-    folder = tmp_path / "downloaded"
-    folder.mkdir()
-    (folder / "driving_log.csv").symlink_to(tmp_path / "private" / "driving_log.csv")
-    with pytest.raises(RecordingError, match="a link out of the recording"):
-        watch_udacity(folder, tmp_path / "watched.mcap", idle_s=0)
 
 
 def test_kill_ends_the_real_thing_and_a_killed_one_keeps_what_came(tmp_path: Path) -> None:

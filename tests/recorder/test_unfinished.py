@@ -11,7 +11,6 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,13 +21,9 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from common import UserError
 from common.car import CAMERAS, Camera
 from common.locks import is_being_written
-from disk import files_of_at_most
-from driving import Process, road_jpeg
-from layouts import Layout, mixed, two_kinds
-from logs import START_NS, STEP_NS, write_log
-from plain_mcap import Contents, StoredChunk, by_topic, contents
 from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import VehicleState
+from recorder.sources.udacity_follow import watch_udacity
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover, recovered_name
 from simulator.protocol.client import (
@@ -38,7 +33,13 @@ from simulator.protocol.client import (
     SimulatorTelemetry,
     WaitTimeoutError,
 )
-from waiting import wait_until
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import Process, road_jpeg
+from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.plain_mcap import Contents, StoredChunk, by_topic, contents
+from tests.helpers.udacity import make_recording, paths
+from tests.helpers.waiting import wait_until
 
 ROWS = 40
 
@@ -136,37 +137,6 @@ def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], whe
             assert log.lost, length
 
 
-def test_a_changed_first_byte_of_a_chunk_is_no_silent_loss(
-    killed: tuple[Path, Contents],
-) -> None:
-    """Its length is still right: whoever believes the byte steps over the chunk and misses nothing."""
-    path, original = killed
-    before = path.read_bytes()
-    five = original.chunks[5]
-    for opcode in {*range(17), 0x80, 0xFF} - {6}:  # those of records, one of none, and private ones
-        path.write_bytes(before[: five.start] + bytes([opcode]) + before[five.start + 1 :])
-        with Log(path) as log:
-            [(lost_from, lost_to)] = log.lost
-            assert lost_from <= five.start
-            assert lost_to == original.chunks[6].start
-            assert len(log.chunks) == len(original.chunks) - 1
-
-
-def test_a_topic_whose_description_is_lost_is_named(killed: tuple[Path, Contents]) -> None:
-    """It stands in the chunk of its first message; the other topics are none the worse for it."""
-    path, original = killed
-    first = original.chunks[0]
-    described = {message.topic for message in first.messages}
-    zero(path, first.start, first.end)
-    rest = [m for chunk in original.chunks[1:] for m in chunk.messages]
-    if {message.topic for message in rest} <= described:
-        with pytest.raises(LogError, match="no complete message"):
-            recover(path, path.with_name("recovered.mcap"))
-    else:
-        written = recover(path, path.with_name("recovered.mcap"))
-        assert contents(written.path).by_topic == by_topic(m for m in rest if m.topic not in described)
-
-
 # Growing
 
 
@@ -232,20 +202,6 @@ def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path)
     with Log(part) as log:
         assert log.problem == "unfinished: its recording was killed, or it was cut off"
     assert recover(part, recovered_name(part)).path == tmp_path / "lake.mcap"
-
-
-@pytest.mark.parametrize("end", [LogWriter.close, LogWriter.discard])
-@pytest.mark.parametrize("live", [True, False])
-def test_a_log_is_being_written_until_it_is_closed(
-    tmp_path: Path, live: bool, end: Callable[[LogWriter], None]
-) -> None:
-    path = tmp_path / "lake.mcap"
-    writer = LogWriter(path, {}, live=live)
-    assert [is_being_written(writer.part) for _ in range(3)] == [True] * 3  # asking changes nothing
-    assert not is_being_written(path)
-    end(writer)
-    assert not is_being_written(writer.part)
-    assert not is_being_written(path)
 
 
 # Names
@@ -460,3 +416,22 @@ def test_a_write_that_fails_in_the_background_is_reported(tmp_path: Path, monkey
     with pytest.raises(UserError, match=r"\.part: cannot be written any further \(Input/output error\)"):
         writer.close()
     assert not (tmp_path / "lake.mcap").exists()
+
+
+def test_a_recording_that_was_followed_is_kept_and_named(tmp_path: Path) -> None:
+    folder, log = tmp_path / "drive", tmp_path / "log.mcap"
+    make_recording(folder, "".join(f"{paths(number)},0,1,0,9.5\n" for number in range(3)))
+    with files_of_at_most(2_000), pytest.raises(UserError, match=r"bc-log recover .*\.part"):
+        watch_udacity(folder, log, idle_s=0)
+    assert len(list(tmp_path.glob("log.mcap.*.part"))) == 1
+
+
+def test_a_log_without_a_message_is_not_advised_to_be_recovered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)
+    writer = LogWriter(tmp_path / "run.mcap", {"source": "drive"}, live=True)
+    with files_of_at_most(10), pytest.raises(UserError, match=r"run.mcap: cannot be written .*nothing was kept"):
+        writer.flush_if_due()
+    writer.__exit__(UserError)
+    assert not list(tmp_path.iterdir())

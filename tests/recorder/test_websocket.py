@@ -13,7 +13,7 @@ import pytest
 from websocket import ABNF
 
 from recorder.server.websocket import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, HandshakeError, WebSocket
-from waiting import PATIENCE_S
+from tests.helpers.waiting import PATIENCE_S
 
 MAX_BYTES = 100_000
 HEADERS = {

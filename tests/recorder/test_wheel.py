@@ -15,17 +15,15 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from common.locks import is_being_written
 from common.users_cache import users_cache
 from recorder.teleop.frame_state import road_edges
 from recorder.teleop.messages import ControlMessage, parse_message
-from recorder.teleop.open_wheels import OpenWheel, announced, open_wheels
-from recorder.teleop.rate_meter import RateMeter
+from recorder.teleop.open_wheels import open_wheels
 from recorder.teleop.seat import ABSENT_S, GIVES_UP_S, Seat
 from recorder.teleop.wheel import MAX_IN_FLIGHT, Request, Wheel
 from simulator.roads.track import load_track
-from waiting import PATIENCE_S, wait_until
-from wheel_page import WheelPage
+from tests.helpers.waiting import PATIENCE_S, wait_until
+from tests.helpers.wheel_page import WheelPage
 
 
 @pytest.fixture
@@ -106,14 +104,6 @@ def test_a_press_between_two_looks_counts_once() -> None:
     seat.steer(page, controls(0.1, 1), 0.1)
     seat.steer(page, controls(0.0, 2, touching=False), 0.2)
     assert [seat.control(0.3).is_touching, seat.control(0.3).is_touching] == [True, False]
-
-
-def test_controls_that_were_overtaken_are_not_used() -> None:
-    seat, page = Seat(), object()
-    seat.enter(page, 0.0)
-    assert seat.steer(page, controls(0.5, 2), 0.1)
-    assert not seat.steer(page, controls(-0.5, 1), 0.2)
-    assert seat.control(0.3).steering == 0.5
 
 
 def test_a_second_page_watches_until_it_is_given_the_wheel(wheel: Wheel) -> None:
@@ -212,38 +202,11 @@ def test_controls_out_of_range_are_none(wrong: dict[str, Any]) -> None:
     assert parse_message(json.dumps({**GOOD, **wrong})) is None
 
 
-@pytest.mark.parametrize("text", ["", "[]", "1", "{", '{"type":"control","steering":NaN}', "[" * 4000, b"\xff"])
-def test_what_is_no_message_is_none(text: str | bytes) -> None:
-    assert parse_message(text) is None
-
-
 @pytest.mark.parametrize("headers", [{}, {"Authorization": "Bearer x"}], ids=["no token", "another token"])
 def test_only_the_token_opens_it(wheel: Wheel, headers: dict[str, str]) -> None:
     port = open_wheels(Path.cwd())[0].port
     with pytest.raises(InvalidStatus, match="401"), connect(f"ws://127.0.0.1:{port}", additional_headers=headers):
         pass
-
-
-def test_a_browser_is_refused_though_it_had_the_token(wheel: Wheel) -> None:
-    opened = open_wheels(Path.cwd())[0]
-    headers = {"Authorization": f"Bearer {opened.token}", "Origin": "http://127.0.0.1:8080"}
-    address = f"ws://127.0.0.1:{opened.port}"
-    with pytest.raises(InvalidStatus, match="403"), connect(address, additional_headers=headers):
-        pass
-
-
-def test_the_file_of_a_wheel_is_closed_before_it_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Windows removes no open files."""
-    unlink = Path.unlink
-
-    def unlink_closed(path: Path, missing_ok: bool = False) -> None:
-        assert not is_being_written(path)
-        unlink(path, missing_ok=missing_ok)
-
-    monkeypatch.setattr(Path, "unlink", unlink_closed)
-    with announced(OpenWheel("1", 1, "token", str(Path.cwd()), "a", "a.mcap")):
-        assert len(open_wheels(Path.cwd())) == 1
-    assert open_wheels(Path.cwd()) == []
 
 
 def test_a_wheel_is_listed_for_its_user_and_folder_while_it_lasts(wheel: Wheel, tmp_path: Path) -> None:
@@ -265,16 +228,6 @@ def test_the_end_is_the_last_message(wheel: Wheel) -> None:
         assert page.text("ended")["rows"] == 42
         with pytest.raises(ConnectionClosed):
             page.text("ended")
-
-
-def test_rates_are_those_of_the_last_seconds() -> None:
-    rates = RateMeter()
-    for frame in range(100):  # at a fifth of real time, then at half
-        rates.add(0.1 * frame, 0.02 * frame if frame < 50 else 1 + 0.05 * (frame - 50))
-    assert rates.frames_per_s == pytest.approx(10)
-    assert rates.pace == pytest.approx(0.5)
-    rates.add(10.0)  # it sends its time no more
-    assert rates.pace is None
 
 
 def test_the_map_has_both_edges_of_the_road() -> None:

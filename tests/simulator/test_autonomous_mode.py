@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from bare_server import OPEN, BareServer, Wire, steer
 from recorder.server.telemetry import Telemetry, parse_telemetry
 from recorder.server.world import World
 from simulator.cli import main
@@ -23,7 +22,8 @@ from simulator.driving.simulation import Simulation
 from simulator.protocol.autonomous_mode import AutonomousDrive, drive_autonomously
 from simulator.protocol.client import SimulatorClient
 from simulator.roads.track import load_track
-from udacity import call
+from tests.helpers.bare_server import OPEN, BareServer, Wire, steer
+from tests.helpers.udacity import call
 
 SET_SPEED_MPH = 12.0
 RATE_HZ = 10.0
@@ -121,19 +121,6 @@ def test_every_value_is_a_json_number_and_the_rest_is_as_the_real_one() -> None:
         assert all(isinstance(value, str) for value in fields.values())
 
 
-def test_telling_changes_no_drive() -> None:
-    def drive(told: Telemetry) -> tuple[float, float]:
-        return 0.02, 0.5
-
-    told, book = driven(drive, laps=0.005)
-    heard: list[dict[str, Any]] = []
-    with BareServer(serving(drive, heard)) as server:
-        client = SimulatorClient(port=server.port)
-        quiet = drive_autonomously(LAKE, client, laps=0.005, rate_hz=RATE_HZ)
-    assert quiet == book
-    assert heard == [{name: value for name, value in fields.items() if name != "world"} for fields in told]
-
-
 def test_an_expert_who_takes_over_off_the_road_brings_the_car_back() -> None:
     heard, book = driven(to_the_left_until(0.9), laps=0.04, rate_hz=5.0, leave_off_road=True)
     worlds = [world_of(parse_telemetry(fields)) for fields in heard]
@@ -160,13 +147,6 @@ def test_a_car_that_does_not_get_on_is_put_back_all_the_same(leave_off_road: boo
     put_back_s = next(world.time_s for world in worlds if world.interventions)
     assert put_back_s == pytest.approx(patience_s, abs=0.5)
     assert book.measures.interventions == 1
-
-
-def test_a_drive_can_begin_anywhere_along_the_track() -> None:
-    heard, book = driven(as_the_expert, laps=0.003, start_m=123.0)
-    x_m, y_m = (heard[0]["world"][name] for name in ("x_m", "y_m"))
-    assert LAKE.track.line.project(x_m, y_m)[0] == pytest.approx(123.0 - 1.3, abs=0.1)
-    assert book.measures.laps == pytest.approx(0.003, abs=1e-3)
 
 
 def test_a_command_can_ask_for_the_car_to_be_put_back_once() -> None:

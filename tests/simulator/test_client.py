@@ -7,16 +7,12 @@ import gc
 import json
 import socket
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
-from bare_server import OPEN, BareServer, Wire, steer
-from driving import road_jpeg
 from simulator.cli import main as sim_main
 from simulator.protocol.client import (
     FRAME_BYTES,
-    NoHostError,
     ServerCommand,
     SimulatorClient,
     SimulatorMessage,
@@ -25,7 +21,9 @@ from simulator.protocol.client import (
     WaitTimeoutError,
 )
 from simulator.protocol.replay import replay
-from udacity import call
+from tests.helpers.bare_server import OPEN, BareServer, Wire, steer
+from tests.helpers.driving import road_jpeg
+from tests.helpers.udacity import call
 
 
 def begin(wire: Wire) -> None:
@@ -249,36 +247,6 @@ def test_it_gives_up_when_there_is_no_server() -> None:
         with pytest.raises(WaitTimeoutError, match=r"within 0\.2 s"):
             client.run(lambda answer: None)
     assert client.connections == 0
-
-
-def test_a_name_that_no_resolver_knows_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unknown(*_: object, **__: object) -> None:
-        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-
-    monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(NoHostError, match=r"^locahost: Name or service not known$"):
-        SimulatorClient("locahost", wait_s=1e9).run(lambda answer: None)
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1/", "127.0.0.1:4567", "http://127.0.0.1", "a..b", "", "x" * 300])
-def test_what_is_no_machine_is_named_at_once(
-    host: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Also what would pass for one in the middle of an address: a slash ends the host there."""
-    resolve = socket.getaddrinfo
-
-    def numbers_only(name: str, *more: Any, **flags: Any) -> Any:
-        return resolve(name, *more, **{**flags, "flags": socket.AI_NUMERICHOST})  # no resolver is asked
-
-    monkeypatch.setattr(socket, "getaddrinfo", numbers_only)
-    assert call(sim_main, f"--host={host}", "--wait", 1e9, "--laps", 0.001) == 1
-    *_, last = capsys.readouterr().err.splitlines()
-    assert last.startswith(f"bc-sim: --host {host}: ")
-    assert last.endswith("give the machine where `bc-drive` runs, such as 127.0.0.1")
-
-
-def test_an_address_in_brackets_is_one_as_well() -> None:
-    assert SimulatorClient("[::1]").url == SimulatorClient("::1").url
 
 
 @pytest.mark.parametrize(("flag", "is_told"), [("", True), ("--real-time", False), ("--tell-world", False)])

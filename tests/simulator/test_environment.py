@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 import simulator  # noqa: F401 - before Gymnasium makes one: the names must be known all the same
 from common.car import CAMERAS
-from driving import run_code, untrained_run
-from repository import ROOT
 from simulator.driving.simulation import Simulation
 from simulator.environment import DrivingEnv, expert
 from simulator.roads.track import load_track
+from tests.helpers.driving import run_code, untrained_run
+from tests.helpers.repository import ROOT
 
 LAKE = "simulator:bc/Lake-v0"
 LEFT_LOCK = np.array([-1.0, 0.5], np.float32)
@@ -160,22 +160,6 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], expec
         DrivingEnv("lake", **settings)
 
 
-@pytest.mark.parametrize("road", ["Random", "Hairpins"])
-def test_a_seed_without_a_road_is_named(road: str) -> None:
-    with pytest.raises(ValueError, match=r"^seed=-1: expected a whole number"):
-        gymnasium.make(f"simulator:bc/{road}-v0", seed=-1)
-
-
-def test_an_action_that_is_none_is_refused(lake: gymnasium.Env[Any, Any]) -> None:
-    lake.reset()
-    for action in ([math.nan, 0.0], [0.0], [0.0, 0.0, 0.0], [math.inf, 0.0]):
-        with pytest.raises(ValueError, match="two finite numbers"):
-            lake.step(np.array(action, np.float32))
-    for wrong in ("left", {"steering": 0.1}, None):
-        with pytest.raises(ValueError, match="two finite numbers"):
-            lake.step(wrong)
-
-
 def test_a_start_that_is_none_and_a_step_before_a_reset_are_refused() -> None:
     env = DrivingEnv("lake")
     with pytest.raises(gymnasium.error.ResetNeeded):
@@ -186,23 +170,11 @@ def test_a_start_that_is_none_and_a_step_before_a_reset_are_refused() -> None:
         env.reset(options={"start_m": None})
 
 
-def test_an_option_of_the_reset_that_does_not_exist_is_named(lake: gymnasium.Env[Any, Any]) -> None:
-    with pytest.raises(ValueError, match="no option start; only start_m"):
-        lake.reset(options={"start": 100.0})
-    lake.reset(options={})
-
-
 def test_the_simulator_is_imported_where_gymnasium_is_not_installed() -> None:
     done = run_code(
         "import sys; sys.modules['gymnasium'] = None; import simulator; print(simulator.SimulatorClient)"
     )
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_the_names_are_known_however_the_two_are_imported() -> None:
-    for names in ("gymnasium, simulator", "simulator, gymnasium"):
-        done = run_code(f"import {names}; print(gymnasium.spec('bc/Mountain-v0').kwargs)")
-        assert (done.stdout, done.stderr) == ("{'track': 'mountain'}\n", "")
 
 
 def test_the_example_of_an_environment_drives(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:

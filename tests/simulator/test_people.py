@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
-from simulator.driving.keyboard import KeyPress
 from simulator.driving.mouse import FULL_LOCK_PX
 from simulator.driving.person import REACTION_S
 from simulator.driving.recovery_driving import PUSH_S, DriveStep, drive_for_recording
@@ -115,15 +114,6 @@ def test_keys_ramp_at_three_full_locks_a_second_through_the_middle() -> None:
     assert not np.signbit(steering[steering == 0.0]).any()
     resting = moved == 0.0
     assert set(np.abs(steering[1:][resting])) == {0.0, 1.0}  # nothing in between is held
-
-
-def test_a_press_ramps_up_holds_and_ramps_down() -> None:
-    press = KeyPress(-1.0, down_s=1.0, up_s=1.5)
-    assert [press.steering(t) for t in (0.5, 1.0, 1.1, 1.4, 1.6, 1.9)] == pytest.approx(
-        [0.0, 0.0, -0.3, -1.0, -0.7, 0.0]
-    )
-    rows = [25 * KeyPress(1.0, down_s=0.05, up_s=0.5).steering(row / 9) for row in range(10)]
-    assert np.diff(rows)[1:3] == pytest.approx(25 * 3 / 9)  # a person's rows: 0 4 13 22 25 25 16 9 0
 
 
 def test_a_mouse_is_dragged_by_whole_pixels_one_way_and_let_go_at_once() -> None:

@@ -12,14 +12,14 @@ import pytest
 import rerun.blueprint as rrb
 
 from common.car import CAMERAS
-from driving import road_jpeg
-from logs import START_NS, STEP_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from recorder.topics import EVENTS, PILOT_COMMAND, PILOT_INPUT, POSE, VEHICLE, camera_topic, prediction_topic
-from rrd import contents, view_names
 from simulator.pose import Pose
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.rrd import contents, view_names
 from viz import save_rrd
 from viz.playback.blueprint import log_layout
 

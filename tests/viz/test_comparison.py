@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from driving import road_jpeg
-from logs import START_NS
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
-from recorder.log.pose_message import pose_message
-from rrd import contents, view_names
+from recorder.log.writer import pose_message
 from simulator.pose import Pose
-from udacity import call
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
 from viz.cli import main
 from viz.playback.comparison import distances_along, names_of
 
@@ -92,16 +92,6 @@ def test_the_layout_has_every_view_of_each_log_and_what_they_share(tmp_path: Pat
     assert view_names(tmp_path / "x.rrd") == both | {"speed, mph", "paths from above, m"}
 
 
-def test_what_they_share_has_a_name_and_a_colour_for_each(tmp_path: Path) -> None:
-    logs = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "b.mcap")
-    entities = shown(tmp_path / "x.rrd", *logs)
-    names = [values(entities, f"/{name}/speed_mph/driven", "SeriesLines:names") for name in ("a", "b")]
-    assert names == [["a"], ["b"]]
-    for entity, component in (("speed_mph/driven", "SeriesLines:colors"), ("path/driven", "LineStrips2D:colors")):
-        colors = [values(entities, f"/{name}/{entity}", component)[0] for name in ("a", "b")]
-        assert colors[0] != colors[1]
-
-
 def test_a_log_without_a_sound_end_is_compared_and_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,14 +156,6 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
 
 
 # Places
-
-
-def test_a_second_lap_goes_on_where_the_first_ended() -> None:
-    angle = np.linspace(0, 4 * np.pi, 800)  # two laps
-    laps = RADIUS_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    placed = distances_along(laps[:400], laps)
-    assert placed is not None
-    assert placed == pytest.approx(RADIUS_M * angle, rel=0.02, abs=2)
 
 
 def test_a_road_that_comes_near_itself_is_not_jumped_across() -> None:

@@ -22,21 +22,21 @@ import pytest
 import rerun as rr
 
 from common.car import CAMERAS
-from driving import Process, command, command_after, environment, with_viewer
-from logs import START_NS, STEP_NS, read_messages
-from ports import free_ports
 from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import PICTURE_TOPICS
-from rrd import arrived, contents, listening, lives, view_names
-from udacity import call
+from tests.helpers.driving import Process, command, environment
+from tests.helpers.logs import START_NS, STEP_NS, read_messages
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import arrived, contents, listening, view_names
+from tests.helpers.udacity import call
+from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz import save_growing, save_rrd
 from viz.cli import main
 from viz.live.follow import LogFeed
 from viz.live.live_log import GrowingLog, find_log
 from viz.live.live_messages import LiveMessage
 from viz.viewer_process import viewer_program
-from waiting import PATIENCE_S, wait_until
 
 ROWS = 8
 
@@ -172,16 +172,6 @@ def test_a_log_that_is_given_up_is_an_error_and_not_waited_for(tmp_path: Path) -
             shown_of(log.read())
 
 
-def test_a_log_that_is_finished_before_it_was_first_read_is_shown(tmp_path: Path) -> None:
-    writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
-    with GrowingLog(writer.part) as log:
-        assert list(log.read()) == []  # its file is empty still
-        write_row(writer, 0)
-        writer.close()
-        assert shown_of(log.read()) == in_the_log(tmp_path / "a.mcap")
-        assert log.is_finished
-
-
 def test_a_log_is_found_under_the_name_that_it_has_now(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     (tmp_path / "a.mcap.part").touch()
@@ -193,30 +183,6 @@ def test_a_log_is_found_under_the_name_that_it_has_now(tmp_path: Path) -> None:
     assert find_log(path) == find_log(writer.part) == path
     assert find_log(tmp_path / "b.mcap") == tmp_path / "b.mcap"
     assert find_log(tmp_path / "no" / "b.mcap") == tmp_path / "no" / "b.mcap"
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_damaged_logs_cause_a_log_error_or_an_end(tmp_path: Path, seed: int) -> None:
-    whole = write_rows(tmp_path / "a.mcap", 2).read_bytes()
-    path, chance = tmp_path / "damaged.mcap", random.Random(seed)
-    edge = whole.index(
-        picture(0, 0)
-    )  # most of the file is noise: the records' beginnings are before and behind it
-    complaints = []
-    for _ in range(60):
-        damaged = bytearray(whole)
-        for _ in range(3):
-            damaged[chance.choice([chance.randrange(edge), chance.randrange(len(damaged))])] ^= chance.randint(
-                1, 255
-            )
-        path.write_bytes(damaged)
-        with GrowingLog(path) as log:
-            try:
-                shown_of(log.read())
-                shown_of(log.read(1.0))
-            except LogError as error:
-                complaints.append(str(error))
-    assert all(complaint.startswith(f"{path}: ") for complaint in complaints)
 
 
 def test_a_recording_that_waits_is_not_taken_for_a_killed_one(
@@ -295,19 +261,6 @@ class RowByRow(threading.Event):
         return False
 
 
-def test_however_long_a_log_grows_its_file_has_one_histogram(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("viz.live.follow.WHOLE_S", 0.0)  # a viewer would get one with every row
-    growing = RowByRow(LogWriter(tmp_path / "a.mcap", {}, live=True))
-    save_growing(tmp_path / "a.mcap", tmp_path / "growing.rrd", stop=growing)
-    assert growing.rows == ROWS
-    save_rrd(tmp_path / "a.mcap", tmp_path / "finished.rrd")
-    entities, expected = contents(tmp_path / "growing.rrd"), contents(tmp_path / "finished.rrd")
-    assert entities["/histogram/recorded"]["BarChart:values"] == expected["/histogram/recorded"]["BarChart:values"]
-    assert len(entities["/histogram/recorded"]["BarChart:values"]) == 1
-
-
 class LateCommand(RowByRow):
     """The same, but only the last row has a command."""
 
@@ -334,14 +287,6 @@ def wait_for_bytes(folder: Path, pattern: str, size: int) -> None:
     wait_until(lambda: any(path.stat().st_size >= size for path in folder.glob(pattern)))
 
 
-def test_pictures_without_rows_get_a_layout_too(tmp_path: Path) -> None:
-    """It is not made of the first pictures: their rows are on the way."""
-    with LogWriter(tmp_path / "a.mcap", {}) as log:
-        log.picture("left", START_NS, 0, picture(0, 1))
-    save_growing(tmp_path / "a.mcap", tmp_path / "a.rrd")
-    assert "left camera" in view_names(tmp_path / "a.rrd")
-
-
 def test_a_finished_log_is_shown_as_ever(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_rows(tmp_path / "a.mcap", 2)
     assert call(main, log, "--follow", "--save", tmp_path / "a.rrd") == 0
@@ -363,15 +308,6 @@ def test_what_could_not_be_shown_is_named_and_the_exit_code_is_3(
     assert call(main, part, "--follow", "--save", tmp_path / "a.rrd") == 3
     assert capsys.readouterr().err.startswith("skipped stretches of unreadable bytes: 1 (")
     assert (tmp_path / "a.rrd").exists()
-
-
-def test_an_error_is_one_line_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "b.mcap").write_bytes(b"not a log at all")
-    for name, says in (("none.mcap", "cannot be opened"), ("b.mcap", "not an MCAP log")):
-        assert call(main, tmp_path / name, "--follow", "--save", tmp_path / "a.rrd") == 1
-        (line,) = capsys.readouterr().err.splitlines()
-        assert f"{name}: {says}" in line
-    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
 
 def test_pictures_too_old_to_be_shown_are_told_once(
@@ -521,26 +457,3 @@ def test_a_viewer_that_dies_or_freezes_harms_nobody_and_leaves_no_process(tmp_pa
         assert not viewer.is_running()
         assert len(read_messages(tmp_path / f"{name}.mcap")["/vehicle"]) == 2 * ROWS
         assert not any("Traceback" in line for line in play.stderr), play.stderr
-
-
-DEAF_VIEWER = """
-import signal, subprocess, sys, time
-signal.signal(signal.SIGTERM, signal.SIG_IGN)
-print("stand-in", file=sys.stderr, flush=True)
-window = [sys.executable, "-c", "import time; time.sleep(1000)"]
-child = subprocess.Popen(window, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-time.sleep(1000)
-"""
-
-
-def test_a_preview_that_does_not_end_is_ended_with_all_its_processes(tmp_path: Path) -> None:
-    """Both a viewer and what starts it may be frozen; the recording ends all the same."""
-    line = command_after([with_viewer(DEAF_VIEWER)], "bc-record", "listen", "live", "--port", 0, "--viewer")
-    with Process(line, cwd=tmp_path) as record:
-        record.wait_for("^stand-in")
-        record_process = psutil.Process(record.popen.pid)
-        wait_until(lambda: len(record_process.children(recursive=True)) == 2)
-        previews = record_process.children(recursive=True)
-        assert record.end(signal.SIGINT) == 1
-    assert "nothing was recorded" in record.stderr[-1]
-    wait_until(lambda: not any(map(lives, previews)))

@@ -17,14 +17,14 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from common import UserError
-from driving import PATIENCE_S, road_jpeg
-from logs import STEP_NS, write_log
-from ports import free_ports
-from rrd import contents
-from udacity import call
+from tests.helpers.driving import PATIENCE_S, road_jpeg
+from tests.helpers.logs import STEP_NS, write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import contents
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
 from viz.cli import main
 from viz.viewer_process import LOCAL, Ports, Viewer, end_viewer, viewer_program, wait_until_it_listens
-from waiting import wait_until
 
 ROWS = 50
 LENGTH_S = (ROWS - 1) * STEP_NS * 1e-9
@@ -172,17 +172,3 @@ def test_a_viewer_that_cannot_draw_says_what_helps(
     assert lines == ([] if "exit code" not in says else [last_words])
     assert told.startswith("bc-play: the Rerun viewer ")
     assert says in told
-
-
-@pytest.mark.parametrize(
-    ("count", "says"), [(1, "--at 60: {log} is"), (3, "--at 60: {log} is"), (7, "7 logs: at most 6")]
-)
-def test_no_viewer_opens_for_what_cannot_be_shown(
-    count: int, says: str, log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page, data = free_ports(2)
-    assert call(main, *[log] * count, "--at", 60, "--web", "--web-port", page, "--port", data) == 1
-    said = capsys.readouterr()
-    assert said.out == ""  # no address of a page
-    (line,) = said.err.splitlines()
-    assert says.format(log=log) in line

@@ -11,31 +11,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
-import rerun as rr
 
 from common import UserError
 from common.car import CAMERAS, Camera
 from common.preview import preview
-from driving import Process, environment
-from logs import START_NS, STEP_NS, write_log
-from ports import free_ports
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from rrd import arrived, contents, lives
-from udacity import call
+from tests.helpers.driving import Process, environment
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import arrived, contents, lives
+from tests.helpers.udacity import call
+from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz.cli import main
-from viz.playback.blueprint import log_layout
-from viz.playback.rerun_recording import PreparedRecording
-from viz.targets import Destination, FinishedContent
-from viz.viewer_connection import viewer_url
-from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
+from viz.viewer_feed import ViewerFeed, feed_viewer
 from viz.viewer_process import Ports, open_viewer, viewer_program, wait_until_it_listens
-from waiting import PATIENCE_S, wait_until
 
 ROWS = 30
 
@@ -60,19 +55,6 @@ def running_viewer() -> Iterator[Ports]:
     with open_viewer(ports, web=True) as viewer:
         wait_until_it_listens(viewer, ports.data_address)
         yield ports
-
-
-@pytest.mark.skipif(os.name != "posix", reason="its settings are in the home folder there")
-def test_a_viewer_that_we_start_collects_no_usage_data(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """As on its first start for a user: it has no settings yet."""
-    for name in ("CI", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    with running_viewer():
-        assert not [path for path in tmp_path.rglob("*") if "analytics" in path.name]
-    assert "usage data" not in "".join(capfd.readouterr())
 
 
 @contextlib.contextmanager
@@ -144,22 +126,6 @@ def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
     assert said.err.splitlines()[-2].startswith("bc-play: skipped pictures in damaged chunks of ")
 
 
-def test_a_viewer_that_is_closed_too_early_is_not_called_complete(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def send(recording: rr.RecordingStream, flush: Callable[[], object], every: int) -> None:
-        raise ViewerGoneError
-
-    with running_viewer() as ports:
-        shown = FinishedContent(
-            lambda: contextlib.nullcontext(PreparedRecording("a.mcap", log_layout(()), send, []))
-        )
-        assert shown.show(Destination(web=False, connect=str(ports.data), ports=ports)) == 1
-    said = capsys.readouterr()
-    assert "the viewer has lost its connection" in said.err.splitlines()[-1]
-    assert said.out == ""
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
 def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else its progress bar would still stand where the last line is printed."""
@@ -177,17 +143,6 @@ def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(KeyboardInterrupt):
         feed_viewer(Slow(""), None)
     assert ended
-
-
-def test_an_address_can_be_short() -> None:
-    assert viewer_url("") == viewer_url("9876") == "rerun+http://127.0.0.1:9876/proxy"
-    assert viewer_url("other:1234") == "rerun+http://other:1234/proxy"
-    assert viewer_url("[::1]:1234") == "rerun+http://[::1]:1234/proxy"
-    assert viewer_url("rerun+http://other:1234/proxy") == "rerun+http://other:1234/proxy"
-    wrong_port = "rerun+http://other:x/proxy"
-    for wrong in ("other", "http://other:1234", "a b:1", wrong_port, "other:123456", "-x:1 2", "0", "other:0"):
-        with pytest.raises(UserError, match=r"^--connect .*: expected HOST:PORT, or PORT on this machine"):
-            viewer_url(wrong)
 
 
 @contextlib.contextmanager
@@ -325,19 +280,6 @@ def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(
     assert "stopped" not in said
 
 
-def test_a_viewer_that_is_stopped_by_who_started_it_says_nothing_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("common.preview.CONNECTED_GRACE_S", 0.1)
-    monkeypatch.setattr("common.preview.NOTICE_AFTER_S", 0.1)
-    with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, running_viewer() as ports:
-        writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-        with preview(writer.part, f"127.0.0.1:{ports.data}", notify=lambda text: None):
-            said = line_from(capfd)
-            assert said.startswith(f"viewer: 127.0.0.1:{ports.data}: its version is unknown")
-        assert capfd.readouterr().err == ""
-
-
 def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> None:
     """Also what was written when the viewer's process had not even begun to read."""
     writer = LogWriter(tmp_path / "a.mcap", {}, live=True)
@@ -348,23 +290,6 @@ def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> No
             writer.vehicle(START_NS + row * STEP_NS, row, VehicleState(steering=row / 100))
         writer.close()
     assert holds_all(tmp_path / "a.rrd")
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the system knows no lowest priority of all")
-@pytest.mark.parametrize("idle_priority", [False, True])
-def test_a_viewer_has_a_lower_priority_than_what_it_shows(
-    idle_priority: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("common.preview.VIEWER", ("-c", "import time; time.sleep(1000)"))
-    before = set(children_of(os.getpid()))
-    with preview(tmp_path / "a.mcap", "web", idle_priority=idle_priority):
-        (viewer,) = set(children_of(os.getpid())) - before
-        scheduled = os.SCHED_IDLE if idle_priority else os.SCHED_OTHER
-        assert os.sched_getscheduler(viewer.pid) == scheduled
-        assert os.getpriority(os.PRIO_PROCESS, viewer.pid) >= max(10, os.getpriority(os.PRIO_PROCESS, 0))
-        group = Path(f"/proc/{viewer.pid}/autogroup")
-        if group.exists():  # "/autogroup-7 nice 19"
-            assert group.read_text().split()[-1] == ("19" if idle_priority else "0")
 
 
 PREVIEW = """

@@ -13,18 +13,17 @@ from mcap.records import Channel, Message, Schema
 from mcap_protobuf.schema import build_file_descriptor_set
 from rerun.chunk import McapReader
 
-from driving import one_line_of, road_jpeg, run
-from layouts import is_of_pictures, write_as_before
-from logs import START_NS, STEP_NS
-from plain_mcap import StoredChunk
-from plain_mcap import contents as plain_contents
-from recorder import LogError, LogWriter
+from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.pose_message import pose_message
-from rrd import contents
+from recorder.log.writer import pose_message
 from simulator.pose import Pose
-from udacity import call
-from viz import save_rrd
+from tests.helpers.driving import one_line_of, road_jpeg, run
+from tests.helpers.layouts import is_of_pictures, write_as_before
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.plain_mcap import StoredChunk
+from tests.helpers.plain_mcap import contents as plain_contents
+from tests.helpers.rrd import contents
+from tests.helpers.udacity import call
 from viz.cli import main
 
 ROWS = 60
@@ -141,12 +140,6 @@ def reruns(log: Path) -> Entities:
     return entities
 
 
-def test_what_tells_where_pictures_lie_in_the_log_is_not_shown(tmp_path: Path) -> None:
-    log = write_drive(tmp_path / "drive.mcap")
-    assert "/__mcap_attachments" in reruns(log)
-    assert "/__mcap_attachments" not in shown(log)
-
-
 def picture_chunks(log: Path) -> list[StoredChunk]:
     return [chunk for chunk in plain_contents(log).chunks if is_of_pictures(chunk.messages[0].topic)]
 
@@ -210,15 +203,6 @@ def test_a_damaged_chunk_of_pictures_is_left_out_and_told(
         }
 
 
-def test_python_is_told_what_was_left_out(tmp_path: Path) -> None:
-    log = write_drive(tmp_path / "drive.mcap")
-    assert save_rrd(log, tmp_path / "sound.rrd") == ""
-    lost = damage(log, picture_chunks(log)[1], "a picture")
-    told = save_rrd(log, tmp_path / "damaged.rrd")
-    assert told.startswith(f"pictures in damaged chunks of {log} (`bc-log recover {log}`")
-    assert f": {len(lost)} (" in told
-
-
 def test_a_damaged_chunk_of_small_messages_is_one_line_and_an_end(tmp_path: Path) -> None:
     log, rrd = write_drive(tmp_path / "drive.mcap"), tmp_path / "drive.rrd"
     (small, *_) = [chunk for chunk in plain_contents(log).chunks if not is_of_pictures(chunk.messages[0].topic)]
@@ -227,15 +211,6 @@ def test_a_damaged_chunk_of_small_messages_is_one_line_and_an_end(tmp_path: Path
     assert done.returncode == 1
     assert f"{log}: damaged: the chunk at byte {small.start:,}" in one_line_of(done)
     assert list(tmp_path.iterdir()) == [log]
-
-
-@pytest.mark.parametrize("how", ["a picture", "its header"])
-def test_a_log_that_mixes_all_topics_shows_nothing_if_it_is_damaged(tmp_path: Path, how: str) -> None:
-    log = layouts(tmp_path)["old"]
-    damage(log, plain_contents(log).chunks[2], how)
-    with pytest.raises(LogError, match=r"damaged.*bc-log recover"):
-        save_rrd(log, tmp_path / "x.rrd")
-    assert not list(tmp_path.glob("*.rrd*"))
 
 
 def test_of_compared_logs_the_sound_pictures_are_shown(tmp_path: Path) -> None:

@@ -5,31 +5,23 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
-from mcap.records import McapRecord, Statistics
 
 from common import UserError
 from common.preview import has_display
-from disk import files_of_at_most
-from driving import Process, command, one_line_in, one_line_of, road_jpeg, run
-from mcap_conformance import variants
-from mcap_patch import patched
-from plain_mcap import plain_writer
-from ports import free_ports
-from recorder import Log, LogError, LogWriter
+from recorder import LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.topics import EVENTS, PICTURE_TOPICS
-from recorder.upkeep.log_info import describe
-from rrd import contents, view_names
-from udacity import call
-from viz import save_growing, save_rrd
+from tests.helpers.driving import Process, command, one_line_in, one_line_of, road_jpeg, run
+from tests.helpers.mcap_conformance import variants
+from tests.helpers.plain_mcap import plain_writer
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
+from viz import save_rrd
 from viz.cli import main
-from viz.playback.curves import frame_size
 
 ROWS = 40
 START_NS = 1_767_225_600 * 10**9
@@ -148,12 +140,6 @@ def test_an_unfinished_log_shows_what_is_whole_in_it_and_says_so(session: Path, 
     assert {path.name for path in tmp_path.iterdir()} == {log.name, "whole.mcap", "x.rrd"}
 
 
-def test_a_log_of_nothing_is_shown_empty(tmp_path: Path) -> None:
-    LogWriter(tmp_path / "empty.mcap", {}).close()
-    save_rrd(tmp_path / "empty.mcap", tmp_path / "x.rrd")
-    assert not [entity for entity in contents(tmp_path / "x.rrd") if not entity.startswith("/__")]
-
-
 @pytest.mark.parametrize("flags", [["--web"], ["--save", "x.rrd"], ["--follow"]])
 def test_bc_play_refuses_an_empty_log_before_a_viewer_opens(
     flags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -207,22 +193,6 @@ def test_what_rerun_cannot_show_is_one_line(tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "a.rrd").exists()
 
 
-def test_statistics_of_a_time_that_cannot_be_are_not_believed(tmp_path: Path) -> None:
-    def in_the_far_future(record: McapRecord) -> None:
-        if isinstance(record, Statistics):
-            record.message_start_time = 2**64 - 10**10
-
-    with plain_writer(tmp_path / "a.mcap") as writer:
-        channel = writer.register_channel("/a", "text", 0)
-        for row in range(3):
-            writer.add_message(channel, START_NS + row * 10**9, b"", START_NS)
-    path = patched(tmp_path / "a.mcap", summary=in_the_far_future)
-    assert describe(path).duration_s == 2
-    assert call(main, path, "--save", tmp_path / "a.rrd") == 0
-    seconds = [time.total_seconds() for time in contents(tmp_path / "a.rrd")["/a"]["since start"]]
-    assert seconds == [0, 1, 2]
-
-
 def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
     log = tmp_path / "photo.mcap"
     log.write_bytes(road_jpeg(0))
@@ -233,14 +203,6 @@ def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
         assert done.returncode == 1
         assert str(log) in one_line_of(done)  # and no page, which would show nothing
     assert list(tmp_path.iterdir()) == [log]
-
-
-def test_a_name_that_rerun_cannot_take_is_one_line(drive: Path, tmp_path: Path) -> None:
-    log = tmp_path / os.fsdecode(b"bad\xff.mcap")
-    log.write_bytes(drive.with_suffix(".mcap").read_bytes())
-    done = run("bc-play", log, "--save", tmp_path / "x.rrd")
-    assert done.returncode == 1
-    assert "only names in UTF-8; rename the log" in one_line_of(done)
 
 
 @pytest.mark.parametrize(
@@ -279,43 +241,12 @@ def test_a_viewer_that_dies_is_one_line_and_exit_code_1(drive: Path, number: sig
     assert len(play.stderr) == 3  # after those of the page's address
 
 
-@pytest.mark.parametrize("save", [save_rrd, save_growing])
-def test_wherever_the_disk_is_full_nothing_is_left_and_rerun_says_nothing(
-    drive: Path,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-    save: Callable[[Path, Path], object],
-) -> None:
-    """Also where only the end of the file does not fit any more."""
-    log, rrd = drive.with_suffix(".mcap"), tmp_path / "x.rrd"
-    save(log, rrd)
-    assert len(contents(rrd)["/steering/recorded"]["Scalars:scalars"]) == ROWS
-    size = rrd.stat().st_size
-    rrd.unlink()
-    for limit in (0, 10, 700, 5_000, size // 2, size - 5_000, size - 1_000):
-        with (
-            files_of_at_most(limit),
-            pytest.raises(UserError, match=r"x\.rrd: cannot be written \(File too large\)"),
-        ):
-            save(log, rrd)
-        assert list(tmp_path.iterdir()) == []
-    assert capfd.readouterr().err == ""
-
-
 def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         done = run("bc-play", drive.with_suffix(".mcap"), "--web", "--port", port, "--web-port", *free_ports(1))
     assert done.returncode == 1
     assert f"port {port}" in one_line_of(done)
-
-
-@pytest.mark.parametrize(("flag", "port"), [("--port", 0), ("--web-port", 65536)])
-def test_what_is_no_port_is_one_line(
-    drive: Path, flag: str, port: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(main, drive.with_suffix(".mcap"), "--web", flag, port) == 2
-    assert f"{flag} {port}: a port is" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -338,34 +269,3 @@ def test_a_log_behind_connect_is_told_where_it_belongs(
     (tmp_path / "a b.mcap").touch()
     assert call(main, *words) == 2
     assert capsys.readouterr().err == f"bc-play: --connect takes one address; put it after the logs: {says}\n"
-
-
-def test_what_may_take_long_shows_how_far_it_is(
-    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = drive.with_suffix(".mcap")
-    assert call(main, log, "--save", tmp_path / "silent.rrd") == 0
-    (step,) = capsys.readouterr().err.splitlines()  # it is no terminal
-    assert step.endswith(f"rerun {tmp_path / 'silent.rrd'}`")
-    for name in ("TTY_COMPATIBLE", "TTY_INTERACTIVE"):
-        monkeypatch.setenv(name, "1")
-    assert call(main, log, "--save", tmp_path / "shown.rrd") == 0
-    shown = capsys.readouterr().err
-    with Log(log) as read:
-        sent = sum(count for topic, count in read.counts.items() if topic in PICTURE_TOPICS)
-    assert f"reading {log.name}" in shown
-    assert f"reading {EVENTS}" in shown
-    assert f"{sent}/{sent}" in shown.partition("sending messages")[2]
-
-
-@pytest.mark.parametrize(
-    "picture",
-    [
-        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 2**32 - 1, 0),
-        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 2**20, 2**20),
-        b"neither",
-    ],
-)
-def test_a_header_that_lies_does_not_tell_how_large_a_frame_is(picture: bytes) -> None:
-    assert frame_size(picture) is None
-    assert frame_size(road_jpeg(0)) == (320, 160)

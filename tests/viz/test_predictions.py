@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +12,16 @@ from safetensors.numpy import load_file, save_file
 from common import UserError
 from common.car import Camera
 from dataset import decode
-from driving import call_drive, road_jpeg, untrained_run
-from logs import START_NS, STEP_NS, read_messages, write_log
+from drive.cli import main as drive_main
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.upkeep.check import check
-from rrd import contents, view_names
-from udacity import call
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import START_NS, STEP_NS, read_messages, write_log
+from tests.helpers.rrd import contents, view_names
+from tests.helpers.udacity import call
 from viz.cli import main
 
 ROWS = 70  # more than a batch
@@ -124,7 +122,7 @@ def test_how_far_each_run_is_off_is_printed(project: Path, shown: Path, said: di
 def test_the_network_that_drove_says_again_what_it_said_then(project: Path, tmp_path: Path) -> None:
     log = tmp_path / "drive.mcap"
     flags = ("--simulator", "lake", "--laps", 0.003, "--precision", "float32", "--log", log)
-    assert call_drive("first", *flags) == 0
+    assert call(drive_main, "first", *flags) == 0
     predictions = predict_log(log, [project / "runs" / "first"])
     commands = read_messages(log)["/pilot/command"]
     assert len(commands) > 20
@@ -134,14 +132,6 @@ def test_the_network_that_drove_says_again_what_it_said_then(project: Path, tmp_
     np.testing.assert_allclose(predictions.predicted["first"], logged, atol=1e-5)
     states = [state.steering for _, state in read_messages(log)["/vehicle"]]
     np.testing.assert_allclose(predictions.recorded, states, atol=1e-9)
-
-
-def test_runs_of_the_same_name_are_told_apart_by_their_folders(project: Path, tmp_path: Path) -> None:
-    twin = untrained_run(tmp_path / "others" / "first", seed=2)
-    assert call(main, "session.mcap", "--run", "first", "--run", twin, "--save", tmp_path / "x.rrd") == 0
-    names = [name for entity in contents(tmp_path / "x.rrd") if entity.startswith("/error_deg/")
-             for name in contents(tmp_path / "x.rrd")[entity]["SeriesLines:names"]]  # fmt: skip
-    assert sorted(names) == [["others/first"], ["runs/first"]]
 
 
 def test_their_steering_is_drawn_over_the_frame(shown: Path, said: dict[str, list[float]]) -> None:
@@ -192,13 +182,6 @@ def test_they_are_kept_as_a_log_that_others_read_and_bc_play_shows(
     expected = [25 * (predicted - recorded) for predicted, recorded in zip(said["first"], STEERING, strict=True)]
     assert values(tmp_path / "kept.rrd", "/error_deg/first") == pytest.approx(expected, abs=0.01)
     assert "error in degrees: predicted - recorded" in view_names(tmp_path / "kept.rrd")
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
-def test_the_worst_moments_of_a_log_whose_name_is_not_utf8(project: Path, tmp_path: Path) -> None:
-    log = shutil.copy(project / "session.mcap", tmp_path / os.fsdecode(b"b\xffd.mcap"))
-    (worst,) = predict_log(log, [project / "runs" / "first"]).worst("first", 1)
-    assert worst.session == "b\\udcffd"
 
 
 def test_it_says_which_log_and_which_weights(project: Path, tmp_path: Path) -> None:
@@ -292,23 +275,6 @@ def test_an_unfinished_log_is_looked_at_as_far_as_it_goes(
     assert 20 < len(predicted) < ROWS
     assert predicted == pytest.approx(said["first"][: len(predicted)], abs=1e-4)
     assert {path.name for path in tmp_path.iterdir()} == {log.name, "x.rrd"}
-
-
-def test_a_picture_without_a_row_has_a_prediction_and_no_error(
-    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with LogWriter(tmp_path / "a.mcap", {}) as log:
-        for row in range(3):
-            log.picture("center", START_NS + row, row, road_jpeg(row))
-    flags = ("--run", "first", "--save", tmp_path / "a.rrd", "--write", tmp_path / "kept.mcap")
-    assert call(main, tmp_path / "a.mcap", *flags) == 0
-    assert "first: 3 frames, no steering recorded with them" in capsys.readouterr().out
-    entities = contents(tmp_path / "a.rrd")
-    assert len(entities["/steering/predicted_by/first"]["Scalars:scalars"]) == 3
-    assert not [entity for entity in entities if entity.startswith(("/error_deg", "/events"))]
-    kept = read_messages(tmp_path / "kept.mcap")
-    assert [prediction.HasField("recorded_steering") for _, prediction in kept["/prediction/first"]] == [False] * 3
-    assert set(kept) == {"/prediction/first"}
 
 
 def test_what_cannot_be_is_one_line(project: Path, tmp_path: Path) -> None:

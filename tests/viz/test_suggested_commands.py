@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from driving import untrained_run
-from logs import write_log
-from toy import STEERING, road
-from udacity import call
+from tests.helpers.driving import untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.toy import STEERING, road
+from tests.helpers.udacity import call
 from viz.cli import main
 from viz.live.live_log import GrowingLog
 

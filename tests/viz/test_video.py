@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +13,14 @@ import pytest
 from numpy.typing import NDArray
 
 from common import UserError
-from disk import files_of_at_most
-from driving import Process, command, road_jpeg
-from logs import START_NS
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from udacity import call
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.udacity import call
 from viz.cli import main
 from viz.video import HELD_S, write_video
-from viz.video_overlay import PREDICTED, RECORDED, WHEEL_DEG, WHEEL_RADIUS, WHEEL_X, WHEEL_Y, clock
+from viz.video_overlay import PREDICTED, RECORDED, WHEEL_DEG, WHEEL_RADIUS, WHEEL_X, WHEEL_Y
 from viz.video_readings import Readings
 
 Image = NDArray[np.uint8]
@@ -122,14 +120,6 @@ def test_every_picture_appears_at_its_own_time(tmp_path: Path) -> None:
     assert (made.pictures, made.left_out, made.gaps, len(made.skipped), made.notice) == (8, 0, 0, 0, "")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no colon in a file's name")
-def test_a_video_s_name_may_have_a_time_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = write_log(tmp_path / "x.mcap", [grey(90)] * 20)
-    monkeypatch.chdir(tmp_path)
-    write_video(log, Path("2026-11-28T10:30:00.mp4"))
-    assert (tmp_path / "2026-11-28T10:30:00.mp4").read_bytes()[4:8] == b"ftyp"
-
-
 def test_it_plays_faster_and_then_leaves_out_what_no_screen_could_show(
     tmp_path: Path, play: Callable[..., Done]
 ) -> None:
@@ -191,19 +181,6 @@ def test_colours_stay_what_they_are(tmp_path: Path, color: tuple[int, int, int])
     write_video(write_log(tmp_path / "x.mcap", [picture] * 3), tmp_path / "x.mp4")
     (shown, *_) = decoded(tmp_path / "x.mp4").frames
     assert shown.mean(axis=(0, 1)) == pytest.approx(color, abs=5)
-
-
-@pytest.mark.parametrize(
-    ("size", "expected"),
-    [((161, 121), (644, 484)), ((640, 480), (640, 480)), ((641, 481), (640, 480)), ((2500, 1250), (1920, 960))],
-)
-def test_small_pictures_are_enlarged_whole_times_and_sides_are_even(
-    tmp_path: Path, size: tuple[int, int], expected: tuple[int, int]
-) -> None:
-    picture = png(np.full((size[1], size[0], 3), 90, np.uint8))
-    made = write_video(write_log(tmp_path / "x.mcap", [picture] * 2), tmp_path / "x.mp4")
-    height, width, _ = decoded(tmp_path / "x.mp4").frames[0].shape
-    assert (width, height) == expected == (made.width, made.height)
 
 
 # The instruments
@@ -272,15 +249,6 @@ def test_without_network_or_states_no_pointer_and_a_straight_wheel(tmp_path: Pat
     assert video.duration_s == pytest.approx(1.0)
 
 
-def test_impossible_numbers_are_shown_as_nothing_or_the_end_of_the_scale(tmp_path: Path) -> None:
-    for i, wrong in enumerate((math.nan, math.inf, -math.inf, 1e308, -1e308)):
-        state = VehicleState(steering=wrong, throttle=wrong, brake=wrong, speed_mph=wrong)
-        command = PilotCommand(predicted_steering=wrong, set_speed_mph=wrong)
-        log = write_log(tmp_path / f"{i}.mcap", [grey(90)] * 2, state=state, command=command)
-        write_video(log, tmp_path / f"{i}.mp4", overlay=True)
-        assert len(decoded(tmp_path / f"{i}.mp4").frames) == 2
-
-
 @pytest.mark.parametrize(
     ("told", "expected"), [("98.400", 98.4), ("nan", None), ("many", None), ("-3", None), ("", None)]
 )
@@ -301,16 +269,6 @@ def test_who_drives_and_how_autonomously_is_what_the_log_says(
     assert [reading.time_s for reading in read] == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert read[0].autonomy_percent == pytest.approx(expected if expected is not None else math.nan, nan_ok=True)
     assert late.driver is None  # what is more than a second old is not known any more
-
-
-def test_the_clock_counts_on_to_hours() -> None:
-    assert [clock(s) for s in (0, 7.46, 59.96, 754.4, 3723.4)] == [
-        "0:00.0",
-        "0:07.5",
-        "1:00.0",
-        "12:34.4",
-        "1:02:03.4",
-    ]
 
 
 # What is wrong with the log
@@ -337,13 +295,6 @@ def test_pictures_in_a_damaged_chunk_are_named_too(
     assert done.code == 3
     assert done.stderr == "skipped broken pictures, shown as the one before: 1 (row 1)\n"
     assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([50, 50, 150, 200], abs=2)
-
-
-def test_before_a_first_picture_that_is_broken_it_is_black(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "x.mcap", [b"", grey(200)])
-    made = write_video(log, tmp_path / "x.mp4")
-    assert levels(decoded(tmp_path / "x.mp4").frames) == pytest.approx([0, 200], abs=2)
-    assert [name for _, name in made.skipped] == ["row 0"]
 
 
 def test_a_log_without_a_picture_of_the_centre_camera_makes_no_video(
@@ -403,26 +354,4 @@ def test_flags_that_make_no_sense_are_named(
     done = play(log, *flags)
     assert done.code == 2
     assert "--video" in done.stderr or "--speed" in done.stderr
-    assert list(tmp_path.iterdir()) == [log]
-
-
-def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
-    log = write_log(tmp_path / "x.mcap", [png(noise), grey(0)] * 5)
-    for most in (0, 1000, 300_000):
-        with (
-            files_of_at_most(most),
-            pytest.raises(UserError, match=r"x\.mp4: cannot be written \(File too large\)"),
-        ):
-            write_video(log, tmp_path / "x.mp4")
-    assert list(tmp_path.iterdir()) == [log]
-
-
-def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "x.mcap", [grey(90), grey(91)] * 400)
-    with Process(command("bc-play", log, "--video", tmp_path / "x.mp4", "--overlay")) as process:
-        while not list(tmp_path.glob("x.mp4.*.part")):
-            assert process.popen.poll() is None
-        assert process.end() == 130
-    assert process.stderr == ["bc-play: stopped"]
     assert list(tmp_path.iterdir()) == [log]

@@ -19,12 +19,12 @@ import pytest
 from numpy.typing import NDArray
 
 from common.car import Camera
-from driving import command, environment
-from logs import write_log
-from pages import window_of
-from ports import free_ports
-from rrd import listening
-from waiting import wait_until
+from tests.helpers.driving import command, environment
+from tests.helpers.logs import write_log
+from tests.helpers.pages import window_of
+from tests.helpers.ports import free_ports
+from tests.helpers.rrd import listening
+from tests.helpers.waiting import wait_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -14,15 +14,15 @@ import pytest
 
 import dataset.cli
 import recorder.log_cli
-from drives import a_drive
-from driving import road_jpeg, untrained_run
-from histories import epoch_line, step_lines, write_lines
-from logs import write_log
-from pages import window_of, with_token
-from udacity import call, make_recording, paths
-from waiting import wait_until
-from wheel_host import driving_host
-from workbench import Served, served
+from tests.helpers.drives import a_drive
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.histories import epoch_line, step_lines, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.pages import window_of, with_token
+from tests.helpers.udacity import call, make_recording, paths
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_host import driving_host
+from tests.helpers.workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

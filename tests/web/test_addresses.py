@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Iterator
@@ -10,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from driving import road_jpeg
-from logs import write_log
-from runs import a_run
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.workbench import Served, served
 from web.folders.project_folders import key_of
-from workbench import Served, served
 
 NOT_TEXT = os.fsdecode(b"b\xffd.mcap")
 
@@ -53,27 +51,3 @@ def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
     assert bench.get(f"{at}/state").json["rows"] == 3
     assert "b\\udcffd" in bench.get(at, Accept="text/html").text
     assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
-def test_a_log_whose_name_is_not_utf8_is_no_bug_of_a_search(
-    bench: Served, capfd: pytest.CaptureFixture[str]
-) -> None:
-    sessions = bench.folder / "sessions"
-    write_log(sessions / NOT_TEXT, [0.1, 0.2, 0.3])
-    logs = bench.get("/sessions.found?where=abs(steering)%3E0.15").json["logs"]
-    assert [log["key"] for log in logs] == ["a"]
-    assert capfd.readouterr().err == ""
-
-
-def test_a_run_of_a_session_whose_name_is_no_text_is_shown(bench: Served) -> None:
-    config = a_run(bench.folder / "runs", "x") / "config.json"
-    config.write_text(json.dumps({**json.loads(config.read_text()), "data": {"logs": {"\ud800": {}}}}))
-    assert "\\ud800" in bench.get("/runs/x").text
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes there")
-def test_a_pipe_in_place_of_a_runs_settings_blocks_no_page(bench: Served) -> None:
-    (bench.folder / "runs" / "pipe").mkdir()
-    os.mkfifo(bench.folder / "runs" / "pipe" / "config.json")
-    assert bench.get("/sessions/a/links").status == 200

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from disk import files_of_at_most
-from driving import road_jpeg
-from logs import START_NS, write_log
-from pages import drag, open_session, opened_page, press
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import Tag, add_tags, read_tags, tags_path
-from waiting import wait_until
-from workbench import served
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.pages import drag, open_session, opened_page, press
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from driving import road_jpeg
-from faulty_session import CRASH, GAP_AT, ROWS, STUCK, write_faulty
-from logs import write_log
-from pages import drag, open_session, opened_page, press, selected_rows
 from recorder import Log
 from recorder.log.tags import read_tags
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.faulty_session import CRASH, GAP_AT, ROWS, STUCK, write_faulty
+from tests.helpers.logs import write_log
+from tests.helpers.pages import drag, open_session, opened_page, press, selected_rows
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

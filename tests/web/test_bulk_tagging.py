@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from faulty_session import CRASH, GAP_AT, STUCK, write_faulty
-from logs import write_log
 from recorder import Log
 from recorder.log.tags import FINE, Tag, add_tags, read_tags
-from waiting import wait_until
-from workbench import Answer, Served, served
+from tests.helpers.faulty_session import CRASH, GAP_AT, STUCK, write_faulty
+from tests.helpers.logs import write_log
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Answer, Served, served
 
 CRASHES = "/sessions.found?only=with+crash"
 
@@ -111,12 +111,3 @@ def test_what_is_no_query_or_no_change_is_refused(bench: Served) -> None:
     asked_as_text = json.dumps({"action": "add", "name": "exclude", "rows": rows}).encode()
     assert bench.ask("POST", "/sessions.tags", asked_as_text, Content_Type="text/plain").status == 415
     assert tags(bench, "first") == tags(bench, "second") == []
-
-
-def test_an_unfinished_log_is_passed_over_with_a_word(bench: Served) -> None:
-    whole = (bench.folder / "sessions" / "first.mcap").read_bytes()
-    (bench.folder / "sessions" / "k.mcap.0a1b2c.part").write_bytes(whole[: len(whole) * 9 // 10])
-    wait_until(lambda: 'class="state">unfinished' in bench.get("/sessions").text)
-    answer = bench.get("/sessions.found?only=with+stuck+steering").json
-    assert [log["key"] for log in answer["logs"]] == ["first", "second"]
-    assert all("unfinished" in problem for problem in answer["problems"])

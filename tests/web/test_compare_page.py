@@ -9,12 +9,12 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from driving import road_jpeg, untrained_run
-from logs import write_log
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 from web.jobs.job_runner import ABOUT, EXIT, OUTPUT
 from web.jobs.jobs import Jobs
-from workbench import Served, plain, served
 
 
 def measured(**changed: object) -> dict[str, object]:
@@ -82,19 +82,6 @@ def test_frames_that_a_run_has_learnt_from_are_named(tmp_path: Path) -> None:
     assert "A has learnt from 1,100 of these frames: on other frames it may be worse" in text
     assert "B has learnt" not in text
     assert "2 pictures left out, because they do not decode" in text
-
-
-def test_a_comparison_that_failed_says_why_and_other_json_is_none(tmp_path: Path) -> None:
-    for name in "ab":
-        untrained_run(tmp_path / "runs" / name)
-    with served(tmp_path) as bench:
-        job = a_job(bench, "bc-eval: no <index>\n", 2)
-        text = bench.get("/runs.compare?a=a&b=b").text
-        assert "refused: bc-eval: no &lt;index&gt;" in text
-        assert ">Compare</button>" in text
-        (job / OUTPUT).write_text(json.dumps(measured(measures={"rmse_deg": 3})))
-        (job / EXIT).write_text("0")
-        assert bench.get("/runs.compare?a=a&b=b").status == 200
 
 
 def test_the_button_is_the_command(tmp_path: Path) -> None:

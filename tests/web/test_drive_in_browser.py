@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from driving import road_jpeg
-from logs import START_NS, STEP_NS
-from pages import open_session, opened_page
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.writer import LogWriter
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, STEP_NS
+from tests.helpers.pages import open_session, opened_page
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

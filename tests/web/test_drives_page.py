@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from drives import a_drive
-from waiting import wait_until
-from workbench import served
+from tests.helpers.drives import a_drive
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 
 def test_drives_stand_beside_one_another_and_on_one_map(tmp_path: Path) -> None:

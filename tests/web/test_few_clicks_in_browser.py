@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from drives import a_drive
-from driving import road_jpeg, untrained_run
-from histories import epoch_line, write_lines
-from logs import write_log
-from pages import drop, open_session, opened_page
-from udacity import make_recording, paths
-from waiting import wait_until
-from workbench import served
+from tests.helpers.drives import a_drive
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.pages import drop, open_session, opened_page
+from tests.helpers.udacity import make_recording, paths
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -6,12 +6,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from driving import road_jpeg
-from logs import write_log
-from pages import open_session, opened_page
-from runs import a_run
-from waiting import wait_until
-from workbench import served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.pages import open_session, opened_page
+from tests.helpers.runs import a_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Route

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import recorder.import_cli
-from pages import drop, open_session, opened_page
 from recorder import Log
-from udacity import call, make_recording, paths
-from upload_bodies import zipped
-from waiting import wait_until
-from workbench import served
+from tests.helpers.pages import drop, open_session, opened_page
+from tests.helpers.udacity import call, make_recording, paths
+from tests.helpers.upload_bodies import zipped
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

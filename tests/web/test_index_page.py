@@ -17,14 +17,14 @@ import pytest
 import dataset.cli
 import recorder.log_cli
 from dataset import IndexConfig, Samples, build_index, decode, load
-from driving import road_jpeg
-from logs import not_a_picture, write_log
 from model.config import TrainConfig
-from pages import opened_page
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import not_a_picture, write_log
+from tests.helpers.pages import opened_page
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 from web.index.index_view import session_bins_sketch
-from workbench import Served, plain, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -138,13 +138,6 @@ def test_an_open_page_shows_an_index_that_is_built_meanwhile(browser: Browser, t
         assert page.input_value("[name=bins]") == "21"
 
 
-@pytest.mark.parametrize(
-    "path", ["/index/none/split", "/index/..%2fstate.json/split", "/index.bins?trial=..", "/index?trial=x"]
-)
-def test_nothing_else_is_shown(bench: Served, path: str) -> None:
-    assert bench.get(path).status == 404
-
-
 def test_other_settings_are_tried_before_they_are_written(changed_bench: Served) -> None:
     bench = changed_bench
     samples = bench.folder / "index" / "samples.parquet"
@@ -196,17 +189,6 @@ def test_an_index_of_another_version_or_hand_is_told(
         assert (answer.status, told in plain(answer.text)) == (200, True)
         assert "<b>x" not in answer.text
         assert other.get("/index.bins").status == 422
-
-
-def test_names_in_an_index_that_are_no_text_are_shown(bench: Served, tmp_path: Path) -> None:
-    whole = pq.read_table(bench.folder / "index" / "samples.parquet")
-    stored = {**json.loads(whole.schema.metadata[b"bc.index"]), "counts": {"\ud800": {"\udfff": 3}}}
-    (tmp_path / "index").mkdir()
-    metadata = {b"bc.index": json.dumps(stored).encode()}
-    pq.write_table(whole.replace_schema_metadata(metadata), tmp_path / "index" / "samples.parquet")
-    with served(tmp_path) as other:
-        page = other.get("/index").text
-    assert ("\\ud800" in page, "\\udfff" in page) == (True, True)
 
 
 def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> None:

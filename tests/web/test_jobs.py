@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import html
-import json
 import os
 import re
-import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -16,15 +14,15 @@ from urllib.parse import urlencode
 
 import pytest
 
-from driving import Process, command
-from logs import write_log
-from ports import free_ports
-from recorded_formats import as_csv
 from recorder import Log
-from udacity import jpeg
-from waiting import wait_until
+from tests.helpers.driving import Process, command
+from tests.helpers.logs import write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.recorded_formats import as_csv
+from tests.helpers.udacity import jpeg
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served, served_by
 from web.jobs.jobs import Jobs
-from workbench import Served, served, served_by
 
 FORM = {"Content_Type": "application/x-www-form-urlencoded"}
 
@@ -102,22 +100,6 @@ def test_an_import_replaces_no_session(bench: Served) -> None:
     assert (refused.status, "mine.mcap: exists already" in refused.text) == (409, True)
 
 
-def test_a_field_of_several_names_takes_blanks_in_double_quotes(bench: Served) -> None:
-    write_log(bench.folder / "sessions" / "my drive.mcap", [0.1] * 3)
-    assert '<option value="&#34;my drive&#34;">' in bench.get("/jobs").text  # suggested as it is taken
-    asked = {"form": "index", "sessions": """"my drive" it's 5"wide"""}
-    assert shlex.split(bench.get(f"/jobs.command?{urlencode(asked)}").text)[:4] == [
-        "bc-index", "my drive", "it's", '5"wide',
-    ]  # fmt: skip
-
-
-def test_what_the_command_refuses_it_says(bench: Served) -> None:
-    job = start(bench, form="record", name="x", laps="many")
-    wait_until(lambda: "running" not in text(bench, job))
-    assert "refused" in text(bench, job)
-    assert "--laps" in text(bench, job)
-
-
 def test_a_job_that_failed_leads_back_to_its_form_as_it_was_filled_in(bench: Served) -> None:
     job = start(bench, form="import", name="mine", source="/nowhere at all")
     wait_until(lambda: "running" not in text(bench, job))
@@ -145,24 +127,6 @@ def test_the_page_of_a_run_that_never_began_says_why(bench: Served) -> None:
     wait_until(lambda: "running" not in text(bench, f"{job}"))
     assert "Train mine: failed, and left no run; Jobs shows its output" in text(bench, "/runs/mine")
     assert "nothing printed yet" not in text(bench, job)
-
-
-def test_a_job_shows_its_present_duration(bench: Served) -> None:
-    job = start(bench, form="record", name="long", laps="200")
-    wait_until(lambda: list((bench.folder / "sessions").glob("long.mcap.*.part")))
-    (about,) = (bench.folder / "cache" / "jobs").glob("*/*/job.json")
-    version = bench.get("/changes").json["jobs"]
-    began = json.loads(about.read_text()) | {"began": "2026-01-01T00:00:00+00:00"}  # it has run for months
-    about.write_text(json.dumps(began))
-    assert bench.get("/changes").json["jobs"] != version
-    bench.post(f"{job}/stop")
-    wait_until(lambda: "running" not in text(bench, f"{job}"))
-
-
-def test_what_is_missing_leads_to_the_list_that_it_would_be_in(bench: Served) -> None:
-    for page, name in (("/runs/none", "Runs"), ("/drives/none", "Drives"), ("/sessions/none", "Sessions")):
-        shown = bench.get(page, Accept="text/html").text
-        assert f'<a href="/{name.lower()}">{name}</a></p>' in shown
 
 
 def test_a_job_outlives_the_server_and_is_stopped_by_another(tmp_path: Path) -> None:
@@ -257,18 +221,3 @@ def test_only_our_own_pages_start_jobs(bench: Served) -> None:
     assert bench.get("/jobs/none").status == 404
     assert bench.get("/jobs/..%2f..").status == 404
     assert "No jobs yet" in bench.get("/jobs").text
-
-
-def test_a_job_that_was_killed_or_damaged_is_told(bench: Served) -> None:
-    folder = next(iter((bench.folder / "cache").rglob("jobs")), bench.folder / "cache" / "jobs")
-    job = start(bench, form="record", name="x", laps="many")
-    wait_until(lambda: "running" not in text(bench, job))
-    (stored,) = folder.glob("*/*")
-    (stored / "exit").unlink()
-    assert "killed, or the computer was switched off" in text(bench, job)
-    about = json.loads((stored / "job.json").read_text())
-    (stored / "job.json").write_text(json.dumps({**about, "words": ["<b>bc-x</b>"]}))
-    assert "<b>bc-x" not in bench.get("/jobs").text
-    (stored / "job.json").write_text("{")
-    assert bench.get(job).status == 404
-    assert bench.get("/jobs").status == 200

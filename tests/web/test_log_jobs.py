@@ -12,13 +12,13 @@ from urllib.parse import urlencode
 import pytest
 
 import recorder.log_cli
-from logs import START_NS, write_log
-from pages import open_session, opened_page
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from udacity import call
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.pages import open_session, opened_page
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -6,14 +6,14 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from driving import road_jpeg, untrained_run
-from histories import epoch_line, write_lines
-from logs import write_log
-from pages import open_session, opened_page
-from runs import a_run
-from udacity import make_recording, paths
-from waiting import wait_until
-from workbench import served
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.pages import open_session, opened_page
+from tests.helpers.runs import a_run
+from tests.helpers.udacity import make_recording, paths
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

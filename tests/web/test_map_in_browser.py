@@ -15,18 +15,18 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 import dataset.cli
-from driving import road_jpeg, untrained_run
-from histories import epoch_line, write_lines
-from logs import write_log
 from model.runs.run_files import WEIGHTS
-from pages import opened_page
 from recorder import Log
 from recorder.log.tags import Tag, read_tags
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.pages import opened_page
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 from web.processes import picture_maps
 from web.processes.picture_maps import COLUMNS
-from workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

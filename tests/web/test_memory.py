@@ -11,12 +11,12 @@ import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 import pytest
 
 import web.logs.open_logs
-from driving import Process, command, environment, road_jpeg
-from logs import write_log
-from ports import free_ports
+from tests.helpers.driving import Process, command, environment, road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.ports import free_ports
+from tests.helpers.workbench import Served, served_by
 from web.logs.open_logs import OpenLogs
 from web.server.memory import EVERY
-from workbench import Served, served_by
 
 ROWS = 3000
 THREADS = """

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import dataset.cli
-from dataset.index.not_learnt import not_learnt_in
-from driving import road_jpeg
-from logs import START_NS
-from pages import open_session, opened_page
+from dataset.samples.samples_format import not_learnt_in
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from udacity import call
-from workbench import served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS
+from tests.helpers.pages import open_session, opened_page
+from tests.helpers.udacity import call
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

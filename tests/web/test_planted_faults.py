@@ -16,14 +16,14 @@ import dataset.cli
 import recorder.import_cli
 import recorder.log_cli
 from common.car import Camera
-from logs import START_NS
-from pages import open_session, opened_page, selected_rows
-from panorama import hand, views
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
-from udacity import call
-from waiting import wait_until
-from workbench import served
+from tests.helpers.logs import START_NS
+from tests.helpers.pages import open_session, opened_page, selected_rows
+from tests.helpers.panorama import hand, views
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

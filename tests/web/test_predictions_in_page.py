@@ -17,14 +17,14 @@ import psutil  # type: ignore[import-untyped]
 import pytest
 import torch
 
-from logs import write_log
 from model.network.choice import built_in
 from model.runs.run_folder import create_run, save_weights
-from pages import open_session, opened_page
 from recorder import LogWriter
-from toy import STEERING, road
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.logs import write_log
+from tests.helpers.pages import open_session, opened_page
+from tests.helpers.toy import STEERING, road
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

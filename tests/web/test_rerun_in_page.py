@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from common.car import Camera
-from logs import START_NS, STEP_NS, write_log
-from pages import heard, window_of, with_token
 from recorder import LogWriter
-from rrd import contents
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.logs import START_NS, STEP_NS, write_log
+from tests.helpers.pages import heard, window_of, with_token
+from tests.helpers.rrd import contents
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Frame

@@ -15,16 +15,15 @@ from urllib.parse import parse_qsl, urlencode
 
 import pytest
 
-from driving import road_jpeg
-from histories import epoch_line, write_lines
-from logs import write_log
 from model.config import TrainConfig
 from model.runs.kept_results import keep_result
 from recorder import Log
-from runs import a_run
-from waiting import wait_until
-from web.server.templates import with_code
-from workbench import Served, plain, served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.histories import epoch_line, write_lines
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 
 AWKWARD = "a & <b>'é 100%"
 CROP = {"session": "sunday", "row": 7, "log_time_ns": 7, "log_time_utc": "then", "recorded_deg": 1.0}
@@ -75,13 +74,6 @@ def test_each_run_is_told_as_bc_runs_tells_it(bench: Served) -> None:
     assert "damaged" in listed["broken"]
     assert list(rows(bench, "?text=good+people")) == ["good"]
     assert "<b>'" not in bench.get("/runs").text
-
-
-def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(tmp_path: Path) -> None:
-    (a_run(tmp_path / "runs", "young") / "metrics.jsonl").unlink()
-    with served(tmp_path) as bench:
-        wait_until(lambda: "reading" not in bench.get("/runs").text)
-        assert "people 2 0 of 3 -" in rows(bench)["young"]
 
 
 def test_a_run_of_an_index_that_holds_nothing_out_has_no_error(tmp_path: Path) -> None:
@@ -162,14 +154,6 @@ def test_runs_measured_on_different_frames_are_listed_apart(tmp_path: Path) -> N
     assert ("--session NAME</code>" in listed, "`" in listed) == (True, False)
 
 
-def test_a_run_without_an_epoch_tells_how_to_go_on(tmp_path: Path) -> None:
-    run = a_run(tmp_path / "runs", "killed", 2.0)
-    (run / "metrics.jsonl").unlink()
-    with served(tmp_path) as bench:
-        wait_until(lambda: "no epoch yet" in bench.get("/runs/killed").text)
-        assert "measured after the first epoch; bc-train --resume killed" in page(bench, "killed")
-
-
 def train_again(project: Path, run: str) -> str:
     """The command of the form to which *Train again* leads."""
     with served(project) as bench:
@@ -194,18 +178,6 @@ def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     for words in ("--crop-rows 0 20", "--answers=as-learnt", "--average-steps=1", "--alter-each-epoch move zoom"):
         assert words in command
     assert "--channels=YUV" in command
-
-
-def test_train_again_repeats_sessions_with_blanks_in_their_names(tmp_path: Path) -> None:
-    run = a_run(tmp_path / "runs", "mine")
-    config = json.loads((run / "config.json").read_text())
-    config |= {"index": "index-mine"}
-    config["data"]["logs"] = {"my drive": {}, "it's": {}}
-    (run / "config.json").write_text(json.dumps(config))
-    command = shlex.split(train_again(tmp_path, "mine"))
-    on = command.index("--on")
-    assert command[on + 1 : on + 3] == ["my drive", "it's"]
-    assert command[on + 3].startswith("--")
 
 
 def test_before_training_again_its_page_names_the_logs_that_differ(tmp_path: Path) -> None:
@@ -337,8 +309,3 @@ def test_a_training_is_seen_live(tmp_path: Path) -> None:
         assert bench.get("/changes").json["runs"] != after
         wait_until(lambda: "3/3" in rows(bench)["r"])
         assert bench.get("/runs.curves?run=r").json[0]["lines"]["RMSE"][0] == [1.0, 2.0, 3.0]
-
-
-def test_commands_in_a_text_are_shown_as_code_and_all_of_it_is_escaped() -> None:
-    shown = with_code("`bc-eval` of <b> & `a<b`")
-    assert shown == "<code>bc-eval</code> of &lt;b&gt; &amp; <code>a&lt;b</code>"

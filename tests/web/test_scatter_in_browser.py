@@ -9,13 +9,13 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from dataset import IndexConfig, build_index
-from logs import write_log
 from model import train
 from model.evaluation.predict_log import predict_log
-from pages import opened_page
-from toy import SMALL, STEERING, road
-from waiting import wait_until
-from workbench import served
+from tests.helpers.logs import write_log
+from tests.helpers.pages import opened_page
+from tests.helpers.toy import SMALL, STEERING, road
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from starlette.types import Receive, Scope, Send
 
+from tests.helpers.workbench import served
 from web.server.workbench_server import WorkbenchServer
-from workbench import served
 
 
 def test_a_request_in_progress_prints_no_traceback_at_the_end(caplog: pytest.LogCaptureFixture) -> None:

@@ -12,20 +12,19 @@ import numpy as np
 import pytest
 
 import recorder.log_cli
-from driving import road_jpeg
-from faulty_session import CRASH, ROWS, STUCK, write_faulty
-from logs import START_NS, write_log
-from mcap_patch import without_lag
-from pages import drag, open_session, opened_page, press, window_of, with_token
-from panorama import pressed, views, write_drive
-from ports import free_ports
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
-from udacity import call
-from waiting import wait_until
+from tests.helpers.driving import road_jpeg
+from tests.helpers.faulty_session import CRASH, ROWS, STUCK, write_faulty
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.pages import drag, open_session, opened_page, press, window_of, with_token
+from tests.helpers.panorama import pressed, views, write_drive
+from tests.helpers.ports import free_ports
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 from web.server.static_files import STATIC
-from workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import APIResponse, Browser, Page, Route
@@ -286,7 +285,7 @@ def test_a_lag_that_is_measured_meanwhile_is_shown(browser: Browser, bench: Serv
     def late(at_s: np.ndarray) -> np.ndarray:
         return pressed(at_s - 0.3)
 
-    log = without_lag(write_drive(bench.folder / "sessions" / "late.mcap", views(1300), late))
+    log = write_drive(bench.folder / "sessions" / "late.mcap", views(1300), late)
     with opened(browser, bench, "late") as page:
         page.click("text=About this log")
         assert "lag not measured" in page.inner_text("#about")

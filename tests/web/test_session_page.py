@@ -14,17 +14,15 @@ import pytest
 
 import recorder.log_cli
 from common.car import Camera
-from disk import files_of_at_most
-from driving import road_jpeg
-from logs import START_NS, write_log
-from recorder import Log, LogWriter
+from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from recorder.log.tags import Tag, add_tags, read_tags
-from udacity import call
-from waiting import wait_until
-from workbench import Answer, Served, served
+from tests.helpers.disk import files_of_at_most
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Answer, Served, served
 
-AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
 STEERING = [0.01 * (row % 40) for row in range(120)]
 
 
@@ -100,15 +98,6 @@ def test_what_cannot_be_is_refused_with_the_reason(
 ) -> None:
     answer = change(bench, **changed)
     assert (answer.status, why in answer.json["error"]) == (status, True), answer.text
-    assert lines(log) == []
-
-
-def test_only_json_changes_anything(bench: Served, log: Path) -> None:
-    """A form of another page can send text, but not this type."""
-    body = json.dumps({"action": "add", "name": "exclude", "rows": [[3, 9]], "log": "x"}).encode()
-    assert bench.ask("POST", "/sessions/a/tags", body, Content_Type="text/plain").status == 415
-    assert bench.ask("POST", "/sessions/a/tags", b"{", Content_Type="application/json").status == 422
-    assert bench.ask("PUT", "/sessions/a/tags", b"{}", Content_Type="application/json").status == 405
     assert lines(log) == []
 
 
@@ -189,33 +178,6 @@ def test_a_log_that_is_not_finished_is_shown_but_not_tagged(bench: Served) -> No
     answer = change(bench, at, rows=[[0, 1]])
     assert (answer.status, "bc-log recover" in answer.json["error"]) == (409, True)
     assert not list(part.parent.glob("k*.tags.jsonl"))
-
-
-def test_a_session_of_any_name_can_be_opened_and_tagged(bench: Served) -> None:
-    log = write_log(bench.folder / "sessions" / f"{AWKWARD}.mcap", [0.1, 0.2, 0.3], road)
-    page = bench.get("/sessions").text
-    at = next(part.split('"')[0] for part in page.split('href="')[1:] if part.startswith("/sessions/~"))
-    assert bench.get(at).status == 200
-    assert "<b>a" not in bench.get(at).text
-    assert bench.get(f"{at}/pictures/left/2").body == road_jpeg(2)
-    assert change(bench, at, rows=[[1, 2]], name="<img src=x onerror=alert(1)>").json["changed"]
-    with Log(log) as opened:
-        assert read_tags(log, opened.fingerprint) == [Tag(1, 2, "<img src=x onerror=alert(1)>")]
-    log.unlink()
-    answer = bench.get(at, Accept="text/html")
-    assert (answer.status, "deleted" in answer.text) == (404, True)
-    assert "<b>a" not in answer.text
-
-
-def test_ten_thousand_tags_are_read_and_one_more_is_added(bench: Served, log: Path) -> None:
-    with Log(log) as opened:
-        fingerprint = opened.fingerprint
-    many = [Tag(at % 100, at % 100 + at // 500, f"n{at % 97}") for at in range(10_000)]
-    add_tags(log, fingerprint, many)
-    found_tags = bench.get("/sessions/a/tags").json
-    assert len(found_tags["tags"]) == len(set(many))
-    assert change(bench, name="one more").json["changed"]
-    assert lines(log)[len(many) :] == [{"add": "one more", "rows": [3, 9], "log": fingerprint}]
 
 
 def test_a_broken_file_of_tags_is_named_and_left_as_it_is(bench: Served, log: Path) -> None:

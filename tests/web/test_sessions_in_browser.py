@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import recorder.log_cli
-from driving import road_jpeg
-from logs import write_log
-from pages import open_session, opened_page, window_of, with_token
-from ports import free_ports
-from udacity import call
-from waiting import wait_until
-from workbench import served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.pages import open_session, opened_page, window_of, with_token
+from tests.helpers.ports import free_ports
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

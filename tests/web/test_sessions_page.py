@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import re
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlencode
@@ -18,13 +17,13 @@ import recorder.log_cli
 from common.car import Camera
 from dataset.config import IndexConfig
 from dataset.index.build import build_index
-from driving import road_jpeg
-from logs import START_NS, write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import VehicleState
-from udacity import call
-from waiting import wait_until
-from workbench import Served, plain, served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import START_NS, write_log
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, plain, served
 
 AWKWARD = "<b>a & \"b\" 'c' 100%?#é\n;"
 
@@ -75,16 +74,6 @@ def test_each_session_is_told_as_the_commands_tell_it(bench: Served, capsys: pyt
     assert "bc-log recover" in listed["killed.mcap.0a1b2c.part"]
     assert "damaged" in listed["nothing"]
     assert "MCAP" in listed["nothing"]
-
-
-def test_what_was_tagged_and_taken_back_has_not_changed(bench: Served) -> None:
-    tags = "tag", bench.folder / "sessions" / "plain.mcap", "exclude", "--rows", 50, 60
-    assert call(recorder.log_cli.main, *tags) == 0
-    wait_until(lambda: "changed since" in rows(bench)["plain"])
-    assert "changed since: plain" in bench.get("/index").text
-    assert call(recorder.log_cli.main, *tags, "--remove") == 0
-    assert "in the index" in rows(bench)["plain"]
-    assert "changed since: plain" not in bench.get("/index").text
 
 
 def test_names_and_sources_are_text(bench: Served) -> None:
@@ -142,21 +131,6 @@ def test_the_film_strip_shows_the_sessions_pictures(bench: Served) -> None:
         assert np.abs(strip[:, 160 * number : 160 * number + 160] - small).mean() < 8
 
 
-def test_a_session_without_pictures_that_decode_has_a_strip_all_the_same(bench: Served) -> None:
-    assert decoded(bench.get("/sessions/stuck/strip.jpg").body).shape == (80, 640, 3)
-    assert bench.get("/sessions/nothing/strip.jpg").status == 422
-    assert "MCAP" in bench.get("/sessions/nothing/steering.svg").json["error"]
-
-
-def test_a_log_that_is_a_link_to_itself_is_shown_as_damaged(tmp_path: Path) -> None:
-    (tmp_path / "sessions").mkdir()
-    (tmp_path / "sessions" / "loop.mcap").symlink_to("loop.mcap")
-    with served(tmp_path) as bench:
-        for page in ("", "/strip.jpg", "/steering.svg"):
-            assert bench.get(f"/sessions/loop{page}").status == 422
-        wait_until(lambda: "damaged" in rows(bench)["loop"])
-
-
 @pytest.mark.parametrize("bins", [None, 101])
 def test_the_sketch_has_the_bins_of_the_index(tmp_path: Path, bins: int | None) -> None:
     log = write_log(tmp_path / "sessions" / "a.mcap", np.linspace(-1, 1, 500).tolist(), cameras=["center"])
@@ -169,20 +143,6 @@ def test_the_sketch_has_the_bins_of_the_index(tmp_path: Path, bins: int | None) 
     assert answer.headers["content-type"] == "image/svg+xml"
     assert answer.body.startswith(b"<svg ")
     assert len(re.findall(r"v-[\d.]+h", answer.text)) == (bins or 25)
-
-
-def test_what_is_kept_in_the_cache_may_be_deleted_or_damaged(bench: Served) -> None:
-    before = bench.get("/sessions/plain/strip.jpg").body
-    assert any((bench.folder / "cache").rglob("*"))
-    shutil.rmtree(bench.folder / "cache")
-    assert bench.get("/sessions/plain/strip.jpg").body == before
-    for path in (bench.folder / "cache").rglob("*"):
-        if path.is_file():
-            path.write_bytes(b"{")
-    with served(bench.folder) as again:
-        wait_until(lambda: "being read" not in again.get("/sessions").text)
-        wait_until(lambda: rows(again) == rows(bench))
-    shutil.rmtree(bench.folder / "cache")
 
 
 def test_what_commands_change_appears(tmp_path: Path) -> None:

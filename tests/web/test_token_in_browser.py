@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from driving import road_jpeg
-from logs import write_log
-from pages import opened_page, window_of, with_token
-from ports import free_ports
-from waiting import wait_until
-from wheel_host import driving_host
-from workbench import served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.pages import opened_page, window_of, with_token
+from tests.helpers.ports import free_ports
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_host import driving_host
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

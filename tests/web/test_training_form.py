@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pages import opened_page
+from tests.helpers.pages import opened_page
+from tests.helpers.workbench import served
 from web.jobs.job_forms import FORMS, JobForm
-from workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

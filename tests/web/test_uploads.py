@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import os
 import re
 import socket
 import zipfile
@@ -14,12 +13,12 @@ import pytest
 
 import recorder.import_cli
 import web.folders.uploads
-from logs import write_log
 from recorder import Log
-from udacity import call, make_recording, paths
-from upload_bodies import upload, upload_body, zipped
-from waiting import wait_until
-from workbench import Served, served
+from tests.helpers.logs import write_log
+from tests.helpers.udacity import call, make_recording, paths
+from tests.helpers.upload_bodies import upload, upload_body, zipped
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 
 CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(4))
 
@@ -131,13 +130,6 @@ def test_a_session_does_not_get_tags_that_another_one_left(bench: Served, tmp_pa
     assert "own.mcap" in bench.get(page).text
 
 
-def test_a_folder_whose_name_is_no_text_is_left_out(bench: Served, tmp_path: Path) -> None:
-    (bench.folder / "recordings").mkdir()
-    (bench.folder / "recordings" / os.fsdecode(b"b\xffd")).mkdir()
-    upload(bench, {"lake/a": b"1"})
-    assert re.findall("/import/([^/]*)/remove", bench.get("/import").text) == ["lake"]
-
-
 def test_a_broken_off_upload_leaves_nothing(bench: Served, tmp_path: Path) -> None:
     body, manifest = upload_body(lake(tmp_path / "mine"))
     with socket.create_connection(("127.0.0.1", bench.port)) as connection:
@@ -224,15 +216,6 @@ def test_bodies_that_are_not_what_they_say_are_refused(bench: Served) -> None:
     assert upload(bench, {"__MACOSX/a": b"1", ".DS_Store": b"2"}).status == 422
     assert left_by(bench) == []
     assert bench.ask("POST", "/import.upload?manifest=1", b"{", Origin="http://evil.example").status == 403
-
-
-def test_a_link_to_a_folder_is_no_upload(bench: Served, tmp_path: Path) -> None:
-    (tmp_path / "elsewhere").mkdir()
-    (bench.folder / "recordings").mkdir()
-    (bench.folder / "recordings" / "linked").symlink_to(tmp_path / "elsewhere")
-    assert "linked" not in bench.get("/import").text
-    assert bench.ask("POST", "/import/linked/remove").status == 404
-    assert (tmp_path / "elsewhere").is_dir()
 
 
 def test_a_full_disk_refuses_before_anything_is_written(bench: Served, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 
-from repository import ROOT
+from tests.helpers.repository import ROOT
 
 FOLDER = ROOT / "web" / "static" / "vendor"
 

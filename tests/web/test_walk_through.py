@@ -16,13 +16,13 @@ import pytest
 import dataset.cli
 import model.runs_cli
 import recorder.log_cli
-from driving import road_jpeg
-from logs import write_log
-from pages import drag, open_session, opened_page, press
 from recorder import Log
-from udacity import call
-from waiting import wait_until
-from workbench import served
+from tests.helpers.driving import road_jpeg
+from tests.helpers.logs import write_log
+from tests.helpers.pages import drag, open_session, opened_page, press
+from tests.helpers.udacity import call
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from driving import Process, command, untrained_run
 from recorder import Log
 from recorder.teleop.open_wheels import open_wheels
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
-from waiting import wait_until
-from wheel_page import WheelPage
-from workbench import Served
+from tests.helpers.driving import Process, command, untrained_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_page import WheelPage
+from tests.helpers.workbench import Served
 
 ADDRESS = r"http://127\.0\.0\.1:(\d+)(/wheel/\S+)\?token=(\S+)"
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from driving import command, environment
-from pages import opened_page, window_of, with_token
-from ports import free_ports
 from recorder import Log
-from waiting import wait_until
+from tests.helpers.driving import command, environment
+from tests.helpers.pages import opened_page, window_of, with_token
+from tests.helpers.ports import free_ports
+from tests.helpers.waiting import wait_until
+from tests.helpers.wheel_host import PREDICTED, Host, driving_host
+from tests.helpers.workbench import Served, served
 from web.server.static_files import STATIC
-from wheel_host import PREDICTED, Host, driving_host
-from workbench import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import pytest
 
-from driving import untrained_run
-from logs import write_log
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.log.pose_message import pose_message
+from recorder.log.writer import pose_message
 from recorder.teleop.wheel import Wheel
-from runs import a_run
 from simulator.pose import Pose
 from simulator.roads.track import load_track
-from waiting import wait_until
+from tests.helpers.driving import untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.runs import a_run
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import Served, served
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, key_of
 from web.jobs.wheels import new_drive, training
-from workbench import Served, served
 
 
 @pytest.fixture
@@ -143,12 +143,6 @@ def test_a_taken_name_leads_back_to_the_form_with_its_values(bench: Served, driv
     assert "exists already" not in bench.get("/wheel").text
 
 
-def test_a_form_refuses_the_name_of_another_session(bench: Served) -> None:
-    write_log(bench.folder / "sessions" / "my lap.mcap", [0.1])
-    answer = bench.post("/jobs", form="record", name=" my lap ", laps="1")
-    assert (answer.status, "my lap.mcap: exists already; give another name" in answer.text) == (409, True)
-
-
 @pytest.mark.parametrize(
     ("page", "values"), [("/wheel", {"name": "mine"}), ("/jobs", {"form": "record", "name": "mine", "laps": "99"})]
 )
@@ -246,17 +240,3 @@ def test_going_on_from_what_is_not_there_is_refused(like: str, tmp_path: Path) -
     with pytest.raises(WebError) as refused:
         new_drive({"like": like, "on": "1"}, ProjectFolders(tmp_path))
     assert refused.value.status == 404
-
-
-def test_a_log_whose_settings_cannot_be_driven_gives_the_forms_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    driven_log(Path("sessions") / "a.mcap", 1, **{"track": "", "drive.rate": "nan", "set_speed_mph": "--force"})
-    line = "bc-record listen a-2 --me --speed=10 --no-page"
-    assert shlex.join(new_drive({"like": "sessions/a", "on": "1"}, ProjectFolders()).words) == line
-
-
-def test_a_drive_that_recorded_nothing_says_so(bench: Served) -> None:
-    assert "Nothing was recorded" in bench.get("/wheel/after/sessions/no-such").text
-    assert bench.get("/wheel/after/runs/no-such").status == 404

@@ -11,8 +11,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from recorder.teleop.wheel import MAX_PER_S, Wheel
-from waiting import PATIENCE_S, wait_until
-from workbench import Served, served
+from tests.helpers.waiting import PATIENCE_S, wait_until
+from tests.helpers.workbench import Served, served
 
 JPEG = b"\xff\xd8 a picture \xff\xd9"
 
@@ -121,12 +121,6 @@ def test_the_socket_needs_the_cookie_of_the_pages(bench: Served, wheel: Wheel) -
             socket(bench, wheel.key, query=query, cookie=cookie)
         assert refused.value.response.status_code == 403
     assert wheel.pages == 0
-
-
-def test_there_is_no_socket_of_a_drive_that_does_not_run(bench: Served) -> None:
-    with pytest.raises(InvalidStatus) as refused:
-        socket(bench, "no-such-drive")
-    assert refused.value.response.status_code == 403
 
 
 def test_messages_that_are_none_do_no_harm_and_are_counted(bench: Served, wheel: Wheel) -> None:

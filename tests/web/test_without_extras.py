@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from driving import road_jpeg, untrained_run
-from logs import write_log
-from waiting import wait_until
-from workbench import served
+from tests.helpers.driving import road_jpeg, untrained_run
+from tests.helpers.logs import write_log
+from tests.helpers.waiting import wait_until
+from tests.helpers.workbench import served
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from common.users_cache import users_cache
 
 Kept = TypeVar("Kept")

@@ -19,7 +19,7 @@ import msgspec
 
 from common.errors import counted, printable
 from common.files import PART_SUFFIX, make_folder, part_path, remove_empty
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from recorder.session_names import plain_name
 from web.errors import WebError
 

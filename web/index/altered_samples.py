@@ -17,7 +17,7 @@ from common.errors import printable
 from common.steering_unit import assumed_deg, steering_unit
 from common.untrusted import real_path
 from dataset import Samples
-from dataset.epoch_alterations import EpochAlterations
+from dataset.alterations import EpochAlterations
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL
 from dataset.preprocessing import Image

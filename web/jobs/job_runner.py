@@ -32,8 +32,6 @@ def main() -> None:
     folder, root = Path(sys.argv[1]), sys.argv[2]
     name, *words = json.loads((folder / ABOUT).read_text(encoding="utf-8"))["words"]
     start = _START.format(root=root, name=name, function=name.replace("-", "_"))
-    if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a command
     signal.signal(signal.SIGINT, _leave_to_the_command)
     with (folder / LOCK).open("ab") as locked, (folder / OUTPUT).open("ab") as output:
         lock(locked)

@@ -29,8 +29,7 @@ import msgspec
 import behavioural_cloning_toolkit
 from common.errors import printable
 from common.locks import is_being_written
-from common.untrusted import real_path
-from common.untrusted_json import json_as
+from common.untrusted import json_as, real_path
 from web.errors import WebError, or_404
 from web.folders.file_versions import digest, version_of
 from web.jobs.job_forms import FORMS

@@ -24,8 +24,7 @@ from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from recorder import Log
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import Tag, tags_by_content, tags_path
+from recorder.log.tags import Tag, TaggedRows, tags_by_content, tags_path
 from recorder.upkeep.log_info import LogInfo, describe
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple, get_args
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -11,24 +11,21 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.errors import printable
 from common.stretches import stretches
-from dataset.frames.frame_flags import ImageFindings, Paired, PictureFlag, frame_flags
+from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.pairing import paired_rows
 from recorder import Log
-from recorder.log.meant_gaps import meant_rows
-from recorder.log.tagged_rows import TaggedRows
-from recorder.log.tags import EXCLUDE, FINE, Tag
+from recorder.log.findings import findings
+from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows
+from recorder.rows.causes import CAUSES, NOT_LEARNT, PICTURE_FLAGS, PLAIN
 from recorder.rows.condition import lists_with
 from recorder.rows.odd_stretches import odd_stretches
-from recorder.rows.row_quality import NOT_LEARNT, States, row_flags
-from recorder.topics import QUALITY_METADATA, camera_topic
+from recorder.rows.row_quality import States
+from recorder.topics import camera_topic
 from web.logs.open_logs import OpenLog
 from web.logs.picture_checks import PictureChecks
 
-PLAIN_FLAGS: Final = ("standing_still", "manoeuvring")
-"""Flags that are not odd: ordinary stops, and driving out of crashes."""
 SURE: Final = "sure"
 """Takes the place of a kind: all rows that are surely odd."""
-_SURE: Final = ("broken_picture", "steering_against_pictures")
 
 Rows = tuple[int, int]
 
@@ -43,8 +40,8 @@ class ShownStretch(NamedTuple):
     is_sure: bool
 
 
-def shown_stretches(log: Log, states: States, findings: ImageFindings | None) -> list[ShownStretch]:
-    """The odd stretches of a log, in order. With `findings` of the log's pictures, they include frozen and broken
+def shown_stretches(log: Log, states: States, images: ImageFindings | None) -> list[ShownStretch]:
+    """The odd stretches of a log, in order. With the check of the log's pictures, they include frozen and broken
     pictures, and steering that contradicts the pictures.
 
     A gap is a stretch of two rows: the last row before it and the first row after it. Gaps that the recorder made
@@ -54,38 +51,38 @@ def shown_stretches(log: Log, states: States, findings: ImageFindings | None) ->
     for odd in odd_stretches(states):
         first, last = (int(np.flatnonzero(states.row == row)[0]) for row in (odd.first_row, odd.last_row))
         result.append(ShownStretch(odd.kind, first, last, printable(odd.cause), odd.is_sure))
-    gaps = row_flags(states)["gap"] & ~np.isin(states.row, meant_rows(log.read_metadata(QUALITY_METADATA)))
+    meant = found.meant_gaps if (found := findings(log)) else []
+    gaps = states.flags["gap"] & ~np.isin(states.row, meant)
     result += [ShownStretch("gap", max(at - 1, 0), at, "", False) for at in np.flatnonzero(gaps).tolist()]
     result += [
-        ShownStretch(flag, first, last, "", flag in _SURE)
-        for flag, mask in _of_pictures(log, states, findings).items()
+        ShownStretch(flag, first, last, "", CAUSES[flag].is_sure)
+        for flag, mask in _of_pictures(log, states, images).items()
         for first, last in stretches(mask)
     ]
     return sorted(result, key=lambda stretch: (stretch.first, stretch.last, stretch.kind))
 
 
 def flag_stretches(states: States) -> dict[str, list[tuple[int, int]]]:
-    """The first and last positions of the stretches of each of `PLAIN_FLAGS`."""
+    """The first and last positions of the stretches of each of `PLAIN`."""
     if not len(states.row):
         return {}
-    flags = row_flags(states)
-    return {flag: stretches(flags[flag]) for flag in PLAIN_FLAGS if flags[flag].any()}
+    flags = states.flags
+    return {flag: stretches(flags[flag]) for flag in PLAIN if flags[flag].any()}
 
 
 def not_learnt_stretches(states: States) -> list[tuple[int, int]]:
     """The first and last positions of the stretches that training leaves out by default."""
     if not len(states.row):
         return []
-    flags = row_flags(states)
-    return stretches(np.logical_or.reduce([flags[flag] for flag in NOT_LEARNT]))
+    return stretches(np.logical_or.reduce([states.flags[flag] for flag in NOT_LEARNT]))
 
 
-def _of_pictures(log: Log, states: States, findings: ImageFindings | None) -> dict[PictureFlag, NDArray[np.bool_]]:
+def _of_pictures(log: Log, states: States, images: ImageFindings | None) -> dict[str, NDArray[np.bool_]]:
     """A mask (N,) of rows for each flag of pictures."""
     paired = {camera: Paired(*paired_rows(log.pictures(camera_topic(camera)), states)) for camera in CAMERAS}
-    flags = pa.chunked_array([frame_flags(states, paired, findings)])
+    flags = pa.chunked_array([frame_flags(states, paired, images)])
     row = states.row[np.concatenate([frames.state for frames in paired.values()])]
-    return {flag: np.isin(states.row, row[lists_with(flags, flag)]) for flag in get_args(PictureFlag)}
+    return {flag: np.isin(states.row, row[lists_with(flags, flag)]) for flag in PICTURE_FLAGS}
 
 
 def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list[Rows]:
@@ -93,7 +90,7 @@ def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list
     states = opened.states
     if not len(states.row):
         return []
-    if kind in PLAIN_FLAGS:
+    if kind in PLAIN:
         return [_rows(states, first, last) for first, last in flag_stretches(states).get(kind, ())]
     return [
         _rows(states, stretch.first, stretch.last)

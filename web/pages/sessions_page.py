@@ -16,13 +16,12 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from recorder.log_list_cli import SORTED_BY
-from recorder.rows.odd_stretches import ODD_KINDS
+from recorder.rows.causes import CAUSES, PLAIN
 from web.errors import WebError
 from web.index.index_view import bins_of_index
 from web.jobs.job_forms import form_of
 from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import (
-    PLAIN_FLAGS,
     SURE,
     not_dealt_with,
     stretches_of_kind,
@@ -43,7 +42,7 @@ SORTS: Final[dict[str, Callable[[SessionCard], Any]]] = {
 }
 KINDS: Final = {
     "with surely odd rows": SURE,
-    **{f"with {kind.replace('_', ' ')}": kind for kind in (*ODD_KINDS, "gap", *PLAIN_FLAGS)},
+    **{f"with {kind.replace('_', ' ')}": kind for kind in CAUSES if not kind.endswith("_picture")},
 }
 """Choices of the list by kinds of odd rows."""
 ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
@@ -208,7 +207,7 @@ def _stretches(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict
 
 
 def _has_kind(card: SessionCard, kind: str) -> bool:
-    if kind in PLAIN_FLAGS:
+    if kind in PLAIN:
         return bool(card.info and (card.info.flags or {}).get(kind))
     if kind == SURE:
         return card.info is not None and any(stretch.is_sure for stretch in card.info.odd or ())

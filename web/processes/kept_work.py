@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import printable
-from common.interrupts import leave_signals_to_main_thread
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 from web.folders.file_versions import version_of
@@ -150,7 +149,6 @@ class KeptWork:
         self._pool.shutdown(cancel_futures=True)
 
     def _run(self, work: Work, words: list[str]) -> None:
-        leave_signals_to_main_thread()
         try:
             with tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True) as temporary:
                 self._run_in(temporary, work, words)

@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ import behavioural_cloning_toolkit
 from common import UserError
 from common.errors import printable
 from common.output import print_result
-from common.parent_process import end_with_parent
+from common.process_settings import end_with_parent
 
 _ROOT: Final = str(Path(behavioural_cloning_toolkit.__file__).parent)
 
@@ -59,7 +58,6 @@ def counter(step: int = 1, **more: object) -> Callable[[], None]:
 def run_in_process(work: Callable[..., object], niceness: int = 0) -> None:
     """Call `work` with this process's arguments, and report its errors."""
     if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the web server's threads block those that end a process
         os.nice(niceness)
     end_with_parent()
     try:

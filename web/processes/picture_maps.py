@@ -23,7 +23,8 @@ from common.errors import printable
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from recorder.rows.odd_stretches import ODD_KINDS, odd_stretches
+from recorder.rows.causes import CAUSES
+from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import States
 from web.errors import WebError
 from web.processes.kept_work import KeptWork, run_fingerprint, write_result
@@ -114,7 +115,7 @@ def _work(max_points: str, run: str, *words: str) -> None:
     place = laid_out.place
     group = groups(place, _GROUPS)
     max_deg = angles.pop() if len(angles) == 1 else None
-    about = MapAbout(step, list(ODD_KINDS), _middles(place, group), max_deg, notes)
+    about = MapAbout(step, list(CAUSES), _middles(place, group), max_deg, notes)
     write_result(
         Path(result),
         x=place[:, 0],
@@ -179,7 +180,7 @@ def _parts(
     crops: LogCrops, fingerprint: str, step: int, reader: _FeatureReader
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """The features and the columns of every `step`-th picture of a log, in batches."""
-    odd, kinds = odd_stretches(States.of(crops.log.vehicle())), list(ODD_KINDS)
+    odd, kinds = odd_stretches(States.of(crops.log.vehicle())), list(CAUSES)
     if crops.log.fingerprint != fingerprint:
         name = crops.log.path.name
         raise WebError(f"{name}: the log has changed: reload this page, or bring the index up to date")

@@ -24,7 +24,6 @@ from typing import BinaryIO, Final
 
 from common import Skipped, UserError
 from common.errors import printable
-from common.interrupts import leave_signals_to_main_thread
 from common.versions import package_line, version_of
 from web.errors import WebError, or_404
 from web.folders.cache_folder import CacheFolder
@@ -98,7 +97,6 @@ class RerunViewer:
 
     def close(self) -> None:
         """Wait until the process has ended."""
-        leave_signals_to_main_thread()
         assert self._process.stdin is not None  # noqa: S101
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -113,7 +111,6 @@ class RerunViewer:
         self._temporary.cleanup()
 
     def _read(self) -> None:
-        leave_signals_to_main_thread()
         for message in reports(self._process):
             self.problem = self.problem or printable(str(message.get("problem", "")))
             if "note" in message and len(self.notes) < _MAX_NOTES:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.steering_unit import SteeringUnit, steering_unit
-from common.untrusted_json import json_as
+from common.untrusted import json_as
 from model.evaluation.differences import MEASURES
 from model.runs.run_files import WEIGHTS
 from web.folders.project_folders import ProjectFolders

@@ -12,7 +12,6 @@ import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from common import UserError
-from common.interrupts import leave_signals_to_main_thread
 from recorder.errors import ListenError
 from recorder.server.listening_socket import listen, send_at_once
 from recorder.teleop.messages import MAX_MESSAGE_BYTES
@@ -76,7 +75,6 @@ class WorkbenchServer:
         await self._app(scope, receive, send)
 
     def _run(self) -> None:
-        leave_signals_to_main_thread()
         self._server.run(sockets=[self._socket])
 
 
