@@ -26,10 +26,11 @@ from PIL import Image
 from common.car import MPS_PER_MPH
 from drive.demo import Demo, demo
 from recorder import Log
-from track_pictures import Picture, hairpin_sheet, layout_sheet, track_sheet
+from track_pictures import FORM_VIEWS, Picture, form_view, hairpin_sheet, layout_sheet, track_sheet
 from viewer_pictures import screenshot
 from viz.playback.comparison import PLACE
 from viz.timelines import LOG_TIME
+from web.server.static_files import FOLDER as STATIC_FILES
 
 DEMO: Final = Path("demo/pictures")
 TRACK: Final = "mountain"
@@ -68,6 +69,9 @@ def main(config: Pictures) -> None:
     config.folder.mkdir(parents=True, exist_ok=True)
     for name in ("lake", "mountain"):
         write(config.folder / f"{name}.png", track_sheet(name))
+    for name in FORM_VIEWS:
+        picture, quality = form_view(name), [cv2.IMWRITE_WEBP_QUALITY, 80]
+        cv2.imwrite(str(STATIC_FILES / "tracks" / f"{name}.webp"), picture, quality)
     write(config.folder / "layout.png", layout_sheet())
     write(config.folder / "hairpins.png", hairpin_sheet())
     if config.curve is not None:

@@ -39,6 +39,25 @@ def track_sheet(name: str) -> Picture:
     return np.hstack([overview(track, grid.shape[0]), grid]).astype(np.uint8)
 
 
+FORM_VIEWS: Final = {
+    "lake": ("lake", 0.75),
+    "mountain": ("mountain", 0.3),
+    "random": ("random:1", 0.45),
+    "hairpins": ("hairpins:1", 0.05),
+}
+"""What bc-web's form *Drive* shows of each kind of track: a track, and the share of its length."""
+
+
+def form_view(name: str) -> Picture:
+    """What the centre camera sees on a kind of track."""
+    track_name, share = FORM_VIEWS[name]
+    track = load_track(track_name)
+    world = build_world(track)
+    course = Course(track, world.height_m)
+    course.start(share * track.line.length_m)
+    return Renderer(world).render(course.pose)
+
+
 def overview(track: Track, size: int) -> Picture:
     """The road's plan, with the numbers of the views."""
     sheet, pixels = plan(track, size)

@@ -15,6 +15,7 @@ from starlette.types import ASGIApp
 from web.folders.project_folders import PLACES, ProjectFolders
 from web.pages.compare_page import compare_routes
 from web.pages.drives_page import drive_routes
+from web.pages.home_page import home_routes
 from web.pages.import_page import import_routes
 from web.pages.index_page import index_routes
 from web.pages.jobs_page import job_routes
@@ -53,6 +54,7 @@ def workbench_app(
 def routes_of(bench: Workbench) -> list[BaseRoute]:
     per_log = session_routes, log_file_routes, rerun_log_routes
     return [
+        *home_routes(bench),
         *session_list_routes(bench),
         *change_routes(bench),
         *(route for place in PLACES for routes in per_log for route in routes(bench, place)),

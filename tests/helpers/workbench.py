@@ -56,6 +56,10 @@ class Served:
     def get(self, path: str, **headers: str) -> Answer:
         return self.ask("GET", path, **headers)
 
+    def command(self, path: str) -> str:
+        """The command of a form, or what is wrong with its values."""
+        return html.unescape(re.sub(r"<[^>]*>", "", self.get(path).text))
+
     def post(self, path: str, **values: str) -> Answer:
         """Send a form of the workbench's own pages."""
         form = {"Content_Type": "application/x-www-form-urlencoded"}

@@ -76,7 +76,7 @@ def test_a_kind_is_selected_excluded_and_undone_as_one(browser: Browser, bench: 
         press(page, "u", 0)
         assert tags(bench) == []
         press(page, "r", 3)
-        assert len(page.inner_text("#commands").splitlines()) == 9  # each stretch of each change
+        assert len((page.text_content("#commands") or "").splitlines()) == 9  # each stretch of each change
         journal = bench.folder / "sessions" / "faulty.tags.jsonl"
         assert len(journal.read_text().splitlines()) == 9
 

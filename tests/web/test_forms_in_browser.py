@@ -73,7 +73,7 @@ def answer_slowly(route: Route) -> None:
 
 def test_a_form_with_values_shows_the_whole_command(browser: Browser, tmp_path: Path) -> None:
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/jobs?start=train&epochs=3") as page:
-        page.wait_for_selector("#command-train:text('--epochs=3')")
+        page.wait_for_selector("#command-train:has-text('--epochs=3')", state="attached")
         page.click("#of-train .more summary")
         page.fill("#form-train [name=dropout]", "0.3")
         page.fill("#form-train [name=on]", "-x")

@@ -54,7 +54,7 @@ def text(bench: Served, path: str) -> str:
 
 def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
     asked = {"form": "record", "name": "a b's", "track": "lake", "laps": "0.01", "driver": "expert"}
-    words = bench.get(f"/jobs.command?{urlencode(asked)}").text
+    words = bench.command(f"/jobs.command?{urlencode(asked)}")
     sessions = bench.folder / "sessions"
     flags = f"--track=lake --driver=expert --laps=0.01 --sessions={sessions}"
     assert words == f"""bc-record 'a b'"'"'s' {flags}"""
@@ -76,8 +76,8 @@ def test_an_import_is_the_command_with_its_flags(bench: Served) -> None:
     flags = (
         f"--columns image=frame steering=angle --steering-offset=-0.53 --time-unit=us --sessions={bench.folder}"
     )
-    assert bench.get(f"/jobs.command?{urlencode(asked)}").text == f"bc-import '/my drives' mine {flags}/sessions"
-    unknown = bench.get(f"/jobs.command?{urlencode(asked | {'time_unit': 'h'})}").text
+    assert bench.command(f"/jobs.command?{urlencode(asked)}") == f"bc-import '/my drives' mine {flags}/sessions"
+    unknown = bench.command(f"/jobs.command?{urlencode(asked | {'time_unit': 'h'})}")
     assert unknown == "unit of the times: expected one of s, ms, us, ns"
 
 
@@ -174,7 +174,7 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
     assert line in text(bench, job)
     assert "1 of 6" in text(bench, job)
     (bench.folder / "sessions").mkdir(exist_ok=True)
-    assert bench.get("/jobs.command?form=demo").text == "bc-demo"  # it fills no project that has something
+    assert bench.command("/jobs.command?form=demo") == "bc-demo"  # it fills no project that has something
 
 
 def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

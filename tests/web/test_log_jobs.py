@@ -40,7 +40,7 @@ def bench(tmp_path: Path) -> Iterator[Served]:
 
 
 def command(bench: Served, job: str, *values: tuple[str, str], log: str = "two") -> str:
-    return bench.get(f"/sessions/{log}/make/{job}/command?{urlencode(values)}").text
+    return bench.command(f"/sessions/{log}/make/{job}/command?{urlencode(values)}")
 
 
 def rows(path: Path) -> list[int]:
@@ -64,9 +64,9 @@ def test_a_selected_stretch_becomes_a_log_that_the_job_links_to(browser: Browser
         page.click("#make summary")
         new = bench.folder / "sessions" / "two-trimmed.mcap"
         shown = f"bc-log trim {bench.folder}/sessions/two.mcap --rows 5 9 --to={new}"
-        wait_until(lambda: page.inner_text("#command-trim") == shown)
+        wait_until(lambda: page.text_content("#command-trim") == shown)
         page.fill("#make-trim [name=new]", "bend")
-        wait_until(lambda: page.inner_text("#command-trim").endswith("/bend.mcap"))
+        wait_until(lambda: (page.text_content("#command-trim") or "").endswith("/bend.mcap"))
         page.click("#make-trim button")
         page.click("text=the result")
         open_session(page)

@@ -56,7 +56,7 @@ def test_each_page_has_one_primary_action(browser: Browser, tmp_path: Path) -> N
             assert primary(page) == [action], path
         page.goto(f"{bench.address}/runs/r")
         page.click("text=Train again")
-        page.wait_for_selector("#command-train:visible")
+        page.wait_for_selector("#form-train:visible")
         given = {
             name: page.input_value(f"#form-train [name={name}]")
             for name in ("network", "epochs", "recipe", "seed")

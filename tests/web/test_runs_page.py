@@ -160,7 +160,7 @@ def train_again(project: Path, run: str) -> str:
         wait_until(lambda: "Train again" in bench.get(f"/runs/{run}").text)
         (again,) = re.findall(r'href="/jobs\?([^"]*)">Train again', bench.get(f"/runs/{run}").text)
         values = dict(parse_qsl(html.unescape(again)))
-        return bench.get(f"/jobs.command?{urlencode({'form': values.pop('start'), **values})}").text
+        return bench.command(f"/jobs.command?{urlencode({'form': values.pop('start'), **values})}")
 
 
 def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
+from recorder.log.meant_gaps import MeantGap
+from recorder.log.tags import Tag, tags_by_content
 from recorder.log.writer import pose_message
 from recorder.teleop.wheel import Wheel
 from simulator.pose import Pose
@@ -20,7 +22,7 @@ from tests.helpers.driving import untrained_run
 from tests.helpers.logs import write_log
 from tests.helpers.runs import a_run
 from tests.helpers.waiting import wait_until
-from tests.helpers.workbench import Served, served
+from tests.helpers.workbench import Served, plain, served
 from web.errors import WebError
 from web.folders.project_folders import ProjectFolders, key_of
 from web.jobs.wheels import new_drive, training
@@ -44,11 +46,11 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
         ({"simulator": "any"}, "bc-record listen drive-1 --me --speed=10 --no-page"),
         (
             {"driver": "run", "run": "r", "track": "hairpins:3"},
-            "bc-drive r --takeover=me --speed=10 --simulator=hairpins:3 --log=drives/drive-1.mcap --no-page",
+            "bc-drive r --takeover=me --speed=10 --simulator=hairpins:3 --log=drives/test-drive-1.mcap --no-page",
         ),
         (
             {"driver": "run", "run": "r", "simulator": "any"},
-            "bc-drive r --takeover=me --speed=10 --log=drives/drive-1.mcap --no-page",
+            "bc-drive r --takeover=me --speed=10 --log=drives/test-drive-1.mcap --no-page",
         ),
     ],
 )
@@ -232,7 +234,7 @@ def test_a_supervised_drive_resumes_at_its_speed_another_at_the_start(
     again = new_drive(values, ProjectFolders())
     line = "bc-drive r --takeover=me --speed=12 --simulator=lake"
     assert shlex.join(on.words) == f"{line} --start=51.3 --log=drives/d-2.mcap --no-page"
-    assert shlex.join(again.words) == f"{line} --log=drives/drive-1.mcap --no-page"
+    assert shlex.join(again.words) == f"{line} --log=drives/test-drive-1.mcap --no-page"
 
 
 @pytest.mark.parametrize("like", ["drives/none", "runs/r", "/etc/passwd", "sessions/../a", "sessions"])
@@ -240,3 +242,22 @@ def test_going_on_from_what_is_not_there_is_refused(like: str, tmp_path: Path) -
     with pytest.raises(WebError) as refused:
         new_drive({"like": like, "on": "1"}, ProjectFolders(tmp_path))
     assert refused.value.status == 404
+
+
+def test_the_seconds_before_the_road_was_left_can_be_left_out(
+    bench: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = bench.folder / "sessions" / "mine.mcap"
+    with LogWriter(log, {"source": "simulator", "driver": "human"}) as writer:
+        for row in range(100):
+            left = MeantGap(2.0, "the car left the road and was put back on its line") if row in (2, 60) else None
+            writer.vehicle(10**18 + row * 10**8, row, VehicleState(steering=0.1), left)
+    assert "You left the road 2 times" in plain(bench.get("/wheel/after/sessions/mine").text)
+    monkeypatch.chdir(bench.folder)
+    answer = bench.post("/wheel/after/sessions/mine/train", leave_out="1")
+    assert answer.status == 303
+    with Log(log) as written:
+        tagged = tags_by_content(log)[written.fingerprint]
+    assert sorted(tagged) == [Tag(0, 1, "exclude"), Tag(29, 59, "exclude")]
+    assert "You left the road" not in bench.get("/wheel/after/sessions/mine").text
+    wait_until(lambda: "running" not in bench.get("/jobs.running").text)  # it has no pictures to learn from

@@ -176,10 +176,10 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "record",
         "Record",
-        "The built-in simulator drives. The drive becomes a session.",
+        "The built-in simulator drives. The drive becomes a recording.",
         ("bc-record",),
         (
-            Field("name", "name of the session", "", is_needed=True),
+            Field("name", "name of the recording", "", is_needed=True),
             Field("track", "track", hint="lake; or mountain, random:SEED, hairpins:SEED"),
             Field("driver", "driver", hint="expert", choices=("expert", "keyboard", "mouse")),
             Field("laps", "laps", hint="1"),
@@ -192,11 +192,11 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "import",
         "Import",
-        "A recording of Udacity's simulator, DonkeyCar, ROS 2, LeRobot or MCAP becomes a session.",
+        "A recording of Udacity's simulator, DonkeyCar, ROS 2, LeRobot or MCAP becomes a recording.",
         ("bc-import",),
         (
             Field("source", "folder or file on this machine", "", is_needed=True),
-            Field("name", "name of the session", "", is_needed=True),
+            Field("name", "name of the recording", "", is_needed=True),
             Field("image", "topic of the pictures", hint="of a log or bag", suggestions="pictures", is_more=True),
             Field(
                 "steering",
@@ -236,7 +236,7 @@ FORMS: Final[Sequence[JobForm]] = (
         "A network learns from the index, or from chosen sessions.",
         ("bc-train",),
         (
-            Field("name", "name of the run", hint="date and time"),
+            Field("name", "name of the network", hint="date and time"),
             Field("network", "network", hint=_TRAIN.network, choices=tuple(BUILT_IN)),
             Field("epochs", "epochs", hint="as many as it needs"),
             Field("rate", "learning rate", hint=str(_TRAIN.rate)),
@@ -245,7 +245,7 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("recipe", "recipe", hint=_TRAIN.recipe, choices=get_args(Recipe)),
             Field("device", "computes on", hint="a GPU if there is one", choices=("cpu", "cuda")),
             Field("on", "only these sessions", hint="the index", suggestions="sessions", is_several=True),
-            Field("init", "start from run", hint="random weights", suggestions="runs"),
+            Field("init", "start from network", hint="random weights", suggestions="runs"),
             Field("patience", "patience, epochs", hint="0: all epochs", is_more=True),
             Field("dropout", "dropout", hint=str(_TRAIN.dropout), is_more=True),
             Field("keep", "epoch to keep", hint="by recipe", choices=_KEEP, is_more=True),
@@ -267,12 +267,12 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "learn",
         "Learn from takeovers",
-        "A run learns from a drive in which somebody took over, and from its earlier data.",
+        "A network learns from a test drive in which somebody took over, and from its earlier data.",
         ("bc-train",),
         (
-            Field("run", "run", "--init", suggestions="runs", is_needed=True),
+            Field("run", "network", "--init", suggestions="runs", is_needed=True),
             Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_several=True, is_needed=True),
-            Field("name", "name of the new run", hint="date and time"),
+            Field("name", "name of the new network", hint="date and time"),
             Field("epochs", "epochs", hint="as many as it needs"),
             Field("recipe", "recipe", hint=_TRAIN.recipe, choices=get_args(Recipe), is_more=True),
         ),
@@ -286,7 +286,7 @@ FORMS: Final[Sequence[JobForm]] = (
         "A stopped training continues.",
         ("bc-train",),
         (
-            Field("run", "run", "--resume", suggestions="runs", is_needed=True),
+            Field("run", "network", "--resume", suggestions="runs", is_needed=True),
             Field("epochs", "epochs", hint="as many as before"),
         ),
         ("index", "sessions", "runs"),
@@ -295,11 +295,11 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "evaluate",
         "Evaluate",
-        "Measures a run on the frames that were held out, or on whole sessions.",
+        "Measures a network on the frames that were held out, or on whole recordings.",
         ("bc-eval",),
         (
-            Field("run", "run", "", suggestions="runs", hint="the newest"),
-            Field("session", "sessions instead", suggestions="sessions", is_several=True),
+            Field("run", "network", "", suggestions="runs", hint="the newest"),
+            Field("session", "recordings instead", suggestions="sessions", is_several=True),
         ),
         ("runs", "sessions"),
         _run,
@@ -307,10 +307,10 @@ FORMS: Final[Sequence[JobForm]] = (
     JobForm(
         "drive",
         "Drive",
-        "A run drives the built-in simulator. The drive's log is kept.",
+        "A network drives the built-in simulator. The drive's log is kept.",
         ("bc-eval",),
         (
-            Field("run", "run", "", suggestions="runs", hint="the newest"),
+            Field("run", "network", "", suggestions="runs", hint="the newest"),
             Field(
                 "track", "tracks", "--simulator", hint="lake mountain random:3", is_several=True, is_needed=True
             ),

@@ -76,7 +76,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     filled = {name: value.strip() for name, value in values.items() if value.strip()}
     earlier = _settings_of(filled["like"], folders, goes_on="on" in filled) if "like" in filled else {}
     settings = {**DEFAULTS, **earlier, **filled}
-    name = settings["name"] or free_name("drive", folders)
+    name = settings["name"] or free_name(beginning_of(settings["driver"]), folders)
     if not _NAME.fullmatch(name):
         raise WebError("name: expected letters, digits, and . _ -, such as lake-1", 422)
     if not _is_rate(settings["rate"]):
@@ -111,7 +111,8 @@ def training(place: Place, log: Path, folders: ProjectFolders) -> tuple[list[str
             name = drive.metadata.get("run", "")
         if key_of(Path(name)) not in runs:
             raise WebError(f"the run {printable(name)!r}, which drove, is not in {folders.runs}", 404)
-    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+    begin = name if place == "drives" else f"net-{name}"
+    names = itertools.chain([begin], (f"{begin}-{number}" for number in itertools.count(2)))
     run = next(free for free in names if key_of(Path(free)) not in runs)
     if place == "drives":
         values = {"run": name, "takeovers": in_one_field([str(log)]), "name": run, "epochs": str(EPOCHS_MORE)}
@@ -128,6 +129,11 @@ def is_training_on(job: Job, log: Path) -> bool:
     words = job.about.words
     is_on = words[-2:] == ["--on", session_name(log)]
     return is_on or (words[0] == "bc-train" and str(log) in words)  # of --takeovers
+
+
+def beginning_of(driver: str) -> str:
+    """How the names of drives begin that nobody has named: a person's, or a network's."""
+    return "test-drive" if driver == "run" else "drive"
 
 
 def free_name(beginning: str, folders: ProjectFolders, first: int = 1) -> str:

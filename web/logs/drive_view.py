@@ -23,9 +23,14 @@ from recorder.log.session_car import max_steering_deg_of
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.project_folders import version_of_log
+from web.logs.open_logs import OpenLog
 
 _MAX_POINTS: Final = 1500
 _MAX_EVENTS: Final = 200
+BEFORE_S: Final = 3.0
+"""Of driving before the car was put back: it shows the mistake, and not what to do."""
+PUT_BACK: Final = "put back on its line"
+"""In the events of a recording: a person left the road, or was stuck."""
 _INTERVENTIONS: Final = ("off the road, or stuck", "the expert takes over", TAKES_OVER, HUMAN_DRIVES)
 
 
@@ -72,7 +77,7 @@ class DriveViews:
         return self._views.results([(path, version_of_log(path)) for path in logs], patience_s)
 
     def _view(self, log: Path, version: str) -> DriveView:
-        return self._cache.struct(f"drive 3 {real_path(log)} {version}", DriveView, lambda: _read(log))
+        return self._cache.struct(f"drive 4 {real_path(log)} {version}", DriveView, lambda: _read(log))
 
 
 def _read(path: Path) -> DriveView:
@@ -115,5 +120,19 @@ def drive_events(log: Log, rows: NDArray[np.int64], time_ns: NDArray[np.int64]) 
         at = min(int(np.searchsorted(time_ns, message.log_time_ns)), len(rows) - 1)
         text = printable(event.message)[:300]
         seconds = float(time_ns[at] - time_ns[0]) / 1e9
-        events.append(DriveEvent(int(rows[at]), seconds, text, text.startswith(_INTERVENTIONS)))
+        is_intervention = text.startswith(_INTERVENTIONS) or PUT_BACK in text
+        events.append(DriveEvent(int(rows[at]), seconds, text, is_intervention))
     return events
+
+
+def rows_before_put_back(opened: OpenLog) -> list[tuple[int, int]]:
+    """The first and last row of the `BEFORE_S` before each time that the car was put back on its line."""
+    states = opened.states
+    rows, time_ns = states.row, states.time_ns
+    stretches = []
+    for event in drive_events(opened.log, rows, time_ns):
+        last = int(np.searchsorted(rows, event.row)) - 1
+        if PUT_BACK in event.text and last >= 0:
+            first = int(np.searchsorted(time_ns, time_ns[last] - round(BEFORE_S * 1e9)))
+            stretches.append((int(rows[first]), int(rows[last])))
+    return stretches

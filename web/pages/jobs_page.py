@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
-
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
@@ -14,7 +12,7 @@ from web.errors import WebError
 from web.jobs.job_forms import FORMS, form_of, suggested_sessions
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.server.templates import page
+from web.server.templates import command_answer, page, problem_answer
 
 
 def job_routes(bench: Workbench) -> list[Route]:
@@ -29,14 +27,18 @@ def job_routes(bench: Workbench) -> list[Route]:
         context = {"names": names, "opened": opened, "values": values, "jobs": bench.jobs.all()}
         return page("jobs.html", live=live, forms=FORMS, **context)
 
+    def running(request: Request) -> Response:
+        """What runs now, for the head of every page."""
+        return page("running.html", jobs=[job for job in bench.jobs.all() if job.is_running])
+
     def command(request: Request) -> Response:
         """The command that a form would run, or the problem with its values."""
         values = dict(request.query_params)
         try:
             words = form_of(values.get("form", "")).words(values, bench.folders)
         except WebError as error:
-            return PlainTextResponse(printable(str(error)))
-        return PlainTextResponse(printable(shlex.join(words)))
+            return problem_answer(error)
+        return command_answer(words)
 
     def start(request: Request, form_values: Values) -> Response:
         form = form_of(form_values.get("form", ""))
@@ -63,6 +65,7 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs", whole),
         Route("/jobs", on_form(start), methods=["POST"]),
         Route("/jobs.command", command),
+        Route("/jobs.running", running),
         Route("/jobs/{job}", whole_job),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
     ]

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import urlencode
 
 from starlette.requests import Request
@@ -17,6 +17,7 @@ from starlette.routing import Route
 from common import UserError
 from common.car import MAX_STEERING_DEG
 from common.errors import printable
+from common.progress import duration_text
 from common.steering_unit import DEGREES, SteeringUnit, assumed_deg, steering_unit
 from common.stored_settings import settings_from
 from common.untrusted import whole_number
@@ -29,10 +30,14 @@ from web.jobs.job_forms import in_one_field
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
+from web.runs.plain_verdict import badge_of
 from web.runs.run_cards import RunCard
 from web.runs.run_charts import bin_bars
 from web.runs.run_configs import index_checksum, origin_of, settings_of
 from web.server.templates import page
+
+if TYPE_CHECKING:
+    from model.runs.training_progress import Step
 
 _MAX_NUMBERS: Final = 14  # of a result
 _MAX_REASONS: Final = 3
@@ -84,6 +89,8 @@ def run_routes(bench: Workbench) -> list[Route]:
             path=printable(str(path)),
             summary=card.summary,
             job=bench.jobs.training(f"/runs/{key}"),
+            progress=progress_of(bench, card),
+            badge=badge_of(card.summary.verdict) if card.summary and card.summary.verdict else None,
             again=again,
             not_as_before=_not_as_before(bench, card, config) if again and config else "",
             settings=settings_of(config) if config is not None else {},
@@ -103,6 +110,30 @@ def run_routes(bench: Workbench) -> list[Route]:
         Route("/runs/{run}", whole),
         Route("/runs/{run}/worst/{epoch}/{number}.jpg", worst_picture),
     ]
+
+
+class Progress(NamedTuple):
+    """How far a training is: the learnt share, and the time left in words, "" if it is not known yet."""
+
+    share: float
+    left: str
+
+
+def progress_of(bench: Workbench, card: RunCard) -> Progress | None:
+    """None if the run is not being trained."""
+    if not card.is_training:
+        return None
+    asked = card.summary.epochs_asked if card.summary else 0
+    steps: Sequence[Step] = ()
+    with contextlib.suppress(UserError):  # damaged, or changed meanwhile
+        steps = bench.runs.history(card.path).steps
+    if not steps or not asked:
+        return Progress(0.0, "")
+    last = steps[-1]
+    done, total = (last.epoch - 1) * last.batches + last.batch, asked * last.batches
+    left_s = last.samples / done * (total - done) / last.samples_per_s if last.samples_per_s > 0 else math.nan
+    left = f"about {duration_text(left_s)}" if math.isfinite(left_s) else ""
+    return Progress(done / total, left)
 
 
 def _again(bench: Workbench, card: RunCard, config: dict[str, Any] | None) -> str:
@@ -221,7 +252,7 @@ def _results(pages: Mapping[str, str], card: RunCard) -> list[dict[str, Any]]:
         results.append(
             {
                 "way": kept.way,
-                "when": printable(kept.measured_at[:16].replace("T", " ")),
+                "when": printable(kept.measured_at),
                 "numbers": _numbers(kept.result),
                 "log": _page_of(pages, Path(log).name.removesuffix(".mcap")) if isinstance(log, str) else "",
             }

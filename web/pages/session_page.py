@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -33,7 +33,7 @@ from web.logs.session_stretches import flag_stretches, not_learnt_stretches, sho
 from web.pages.request_values import Values, on_form
 from web.pages.tagging import TagChange, change_tags, on_change
 from web.pages.workbench import Workbench
-from web.server.templates import page
+from web.server.templates import command_answer, page, problem_answer
 
 _COLUMNS: Final = ("row", "time_s", "steering", "throttle", "brake", "speed_mph")
 
@@ -127,8 +127,8 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         try:
             words, _ = command_line(job, log, form, bench.folders.logs(place))
         except UserError as error:
-            return PlainTextResponse(printable(str(error)))
-        return PlainTextResponse(printable(shlex.join(words)))
+            return problem_answer(error)
+        return command_answer(words)
 
     def make(request: Request, values: Values) -> Response:
         log = path_of(request)

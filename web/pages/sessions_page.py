@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 from starlette.requests import Request
-from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from common import UserError
@@ -19,7 +18,6 @@ from recorder.log_list_cli import SORTED_BY
 from recorder.rows.causes import CAUSES, PLAIN
 from web.errors import WebError
 from web.index.index_view import bins_of_index
-from web.jobs.job_forms import form_of
 from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import (
     SURE,
@@ -120,7 +118,6 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             query=query,
             listed=list_sessions(bench, query),
             folder=printable(str(bench.folders.sessions)),
-            demo=printable(shlex.join(form_of("demo").words({}, bench.folders))),
             bins=bins_of_index(bench.folders.index),
         )
 
@@ -157,7 +154,6 @@ def session_list_routes(bench: Workbench) -> list[Route]:
         return {"changed": changed, "commands": commands, "notice": "; ".join(problems)}
 
     return [
-        Route("/", lambda request: RedirectResponse("/sessions")),
         Route("/sessions", whole),
         Route("/sessions.found", stretches),
         Route("/sessions.tags", on_change(BulkChange, change), methods=["POST"]),

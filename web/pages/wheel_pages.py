@@ -22,6 +22,7 @@ from websockets.frames import CloseCode
 
 from common.errors import printable
 from common.files import session_name
+from recorder.log.tags import EXCLUDE, Tag
 from recorder.teleop.open_wheels import open_wheels
 from recorder.topics import PERSON_METADATA
 from web.errors import WebError, or_404
@@ -32,6 +33,7 @@ from web.jobs.wheels import (
     RATES_HZ,
     TRACKS,
     EndedDrive,
+    beginning_of,
     ended_drive,
     free_name,
     is_training_on,
@@ -41,7 +43,10 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
+from web.logs.drive_map import drive_map
+from web.logs.drive_view import BEFORE_S, DriveView, rows_before_put_back
 from web.pages.request_values import Values, on_form
+from web.pages.tagging import TagChange, change_tags
 from web.pages.workbench import Workbench
 from web.runs.run_configs import origin_of
 from web.server.templates import page
@@ -54,7 +59,9 @@ _QUEUE: Final = 2  # messages for a slow page; then the process waits
 def wheel_routes(bench: Workbench) -> list[BaseRoute]:
     def whole(request: Request) -> Response:
         """The form, and the running drives."""
-        values = {**DEFAULTS, "name": free_name("drive", bench.folders), **request.query_params}
+        driver = request.query_params.get("driver", DEFAULTS["driver"])
+        name = free_name(beginning_of(driver), bench.folders)
+        values = {**DEFAULTS, "name": name, **request.query_params}
         runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
         wheels = open_wheels(Path.cwd())
         problem = ""
@@ -91,10 +98,16 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         after = _after(*place) if place else ""
         return page("wheel.html", title=printable(wheel.title), at=f"/wheel/{wheel.key}", after=after)
 
-    def train(request: Request) -> Response:
-        """Train a network on a session, or on the takeovers of a drive."""
+    def train(request: Request, values: Values) -> Response:
+        """Train a network on a session, without the seconds before the car was put back if the form says so, or on
+        the takeovers of a drive."""
         place, key, ended = _ended_drive(request)
         log = or_404(ended, "nothing was recorded, so there is nothing to train on").log
+        if "leave_out" in values:
+            with bench.logs.open(log) as opened:
+                fingerprint, rows = opened.log.fingerprint, rows_before_put_back(opened)
+            if rows:
+                change_tags(bench, place, log, TagChange("add", EXCLUDE, rows, fingerprint))
         words, run = training(place, log, bench.folders)
         bench.jobs.start(words, f"/runs/{key_of(Path(run))}")
         return RedirectResponse(_after(place, key), status_code=303)
@@ -120,6 +133,10 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
             taken = takeovers(opened.log)
             is_ours = place == "drives" or metadata.get("track") or opened.log.read_metadata(PERSON_METADATA)
             rows = len(states.row)
+            left_road = [] if place == "drives" else rows_before_put_back(opened)
+            tags = set(bench.cards.tags(ended.log, opened.log.fingerprint).tags) if left_road else set()
+        view = bench.drives.views([ended.log], _PATIENCE_S).get(ended.log)
+        by = "who drove" if place == "drives" else "drive"
         runs = bench.folders.run_folders()
         drove = key_of(Path(metadata["run"])) if metadata.get("run") else ""
         name = session_name(ended.log)
@@ -129,6 +146,9 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
             "wheel_after.html",
             **context,
             rows=rows,
+            map=drive_map([view], [0], by) if isinstance(view, DriveView) else None,
+            left_road=[stretch for stretch in left_road if Tag(*stretch, EXCLUDE) not in tags],
+            before_s=BEFORE_S,
             length_s=length_s,
             taken=taken,
             drove=drove if drove in runs else "",
@@ -169,7 +189,7 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         Route("/wheel.rows", rows),
         Route("/wheel/begin/{job}", begin),
         Route(at, after),
-        Route(f"{at}/train", train, methods=["POST"]),
+        Route(f"{at}/train", on_form(train), methods=["POST"]),
         Route("/wheel/{key}", drive),
         WebSocketRoute("/wheel/{key}/socket", forward),
     ]

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
+from collections.abc import Sequence
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 from starlette.responses import HTMLResponse
 
-from common.errors import counted, decimal
+from common.errors import counted, decimal, printable
 from common.versions import version_of
 from web.server.static_files import STATIC
 
 PAGES: Final = (
     ("Drive", "/wheel"),
-    ("Sessions", "/sessions"),
-    ("Index", "/index"),
-    ("Runs", "/runs"),
-    ("Drives", "/drives"),
-    ("Jobs", "/jobs"),
+    ("Recordings", "/sessions"),
+    ("Networks", "/runs"),
+    ("Test drives", "/drives"),
 )
 """The menu: names and addresses."""
 
@@ -45,16 +45,34 @@ def _places(number: float | str | None, places: int) -> str:
     return decimal(value, places) if math.isfinite(value) else "-"
 
 
+def _when(utc: str) -> Markup:
+    """A time in ISO 8601, in UTC, to the minute; the page shows it in the browser's time zone (live.js)."""
+    if not utc:
+        return Markup()
+    minute = utc[:16]
+    return Markup('<time datetime="{}Z">{} UTC</time>').format(minute, minute.replace("T", " "))
+
+
 def with_code(text: str) -> Markup:
     """A text, escaped, in which the parts between backticks are code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def command_answer(words: Sequence[str]) -> HTMLResponse:
+    """The answer to a form that asks for its command: the command, for those who want to see it."""
+    return HTMLResponse(Markup('<span class="command">{}</span>').format(printable(shlex.join(words))))
+
+
+def problem_answer(error: Exception) -> HTMLResponse:
+    """The answer to a form that asks for its command, if its values are wrong."""
+    return HTMLResponse(Markup('<span class="problem">{}</span>').format(printable(str(error))))
 
 
 _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _environment.globals.update(menu=PAGES, static=STATIC, version=version_of())
-_environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code)
+_environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code, when=_when)
 
 
 def page(template: str, /, **values: Any) -> HTMLResponse:

@@ -45,6 +45,33 @@ async function poll() {
   next = setTimeout(poll, hasChanged ? WHILE_CHANGING_MS : EVERY_MS);
 }
 
+// times are sent in UTC, and shown in the browser's time zone; what a poll brings in, too
+const inShort = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
+function showLocalTimes() {
+  for (const time of document.querySelectorAll("time[datetime]")) {
+    const local = inShort.format(new Date(time.dateTime));
+    if (time.textContent === local) continue;
+    time.title = `${time.dateTime.replace("T", " ").replace("Z", "")} UTC`;
+    time.textContent = local;
+  }
+}
+showLocalTimes();
+new MutationObserver(showLocalTimes).observe(document.getElementById("main"), { childList: true, subtree: true, characterData: true });
+
+// commands are for those who also work in a terminal
+const COMMANDS = "shows commands";
+const commandsShown = document.getElementById("commands-shown");
+function showCommands(areShown) {
+  document.documentElement.toggleAttribute("data-commands", areShown);
+  commandsShown?.setAttribute("aria-pressed", areShown);
+}
+showCommands(localStorage.getItem(COMMANDS) === "yes");
+commandsShown?.addEventListener("click", () => {
+  const areShown = commandsShown.getAttribute("aria-pressed") !== "true";
+  localStorage.setItem(COMMANDS, areShown ? "yes" : "no");
+  showCommands(areShown);
+});
+
 // the address has the values of a form, so that a user can keep and send it
 function nameInAddress(form) {
   if (new URL(form.action).pathname !== location.pathname) return; // it leads to another page

@@ -130,7 +130,7 @@ function choose(points, isWhole = false) {
   by("groups").hidden = by("groups-title").hidden = chosen.length > 0 || !map.about;
   const sessions = new Set(chosen.map((at) => map.columns.log[at])).size;
   const counted = (count, noun) => `${number(count)} ${noun}${count === 1 ? "" : "s"}`;
-  by("count").textContent = `${counted(chosen.length, "picture")}${sessions > 1 ? ` of ${counted(sessions, "session")}` : ""}`;
+  by("count").textContent = `${counted(chosen.length, "picture")}${sessions > 1 ? ` of ${counted(sessions, "recording")}` : ""}`;
   const step = isWhole ? 1 : Math.max(1, chosen.length / MAX_SHOWN);
   const shown = step === 1 ? chosen : Array.from({ length: MAX_SHOWN }, (_, at) => chosen[Math.floor(at * step)]);
   by("pictures").replaceChildren(...shown.map(thumbnail));

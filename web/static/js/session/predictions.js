@@ -45,7 +45,7 @@ export class Predictions {
       const column = await ask(`${this.data.address}/predictions/rows/${state.key}`);
       const predicted = new Float64Array(await column.arrayBuffer());
       if (this.run !== run) return;
-      if (predicted.length !== this.data.length) throw new Error("the log has changed: choose the run again");
+      if (predicted.length !== this.data.length) throw new Error("the log has changed: choose the network again");
       this.data.columns.predicted = predicted;
       this.show(state);
     } catch (error) {

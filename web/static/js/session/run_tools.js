@@ -62,13 +62,13 @@ export class RunTools {
 
   toggleAttention() {
     if (this.predictions.run) this.attention.toggle();
-    else showStatus("choose a run first");
+    else showStatus("choose a network first");
   }
 
   goToWorst(step) {
     const { predictions } = this;
     const moment = predictions.next(step);
-    if (!moment) return showStatus(predictions.about ? "the log has no steering to compare with" : "choose a run first");
+    if (!moment) return showStatus(predictions.about ? "the log has no steering to compare with" : "choose a network first");
     this.onPick(moment.position);
     showStatus(`${predictions.at + 1} of ${predictions.worst.length}: ${moment.words}`);
   }

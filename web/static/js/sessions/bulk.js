@@ -39,7 +39,7 @@ function rowsByLog(stretches) {
 
 function describe(logs) {
   const rows = logs.flatMap((log) => log.rows).map(([first, last]) => ({ first, last }));
-  return `${counted(rows)} of ${number(logs.length)} ${logs.length === 1 ? "session" : "sessions"}`;
+  return `${counted(rows)} of ${number(logs.length)} ${logs.length === 1 ? "recording" : "recordings"}`;
 }
 
 async function tag(name) {

@@ -1,6 +1,7 @@
 // Gamepads and wheels, by the Gamepad API. The one moved last is used. A device must be at rest once before it counts:
 // a stick may hang to the side, and a pedal that was never pressed reads 0.
 
+const BUTTONS = { 0: "r", 1: "b", 2: "x", 3: "h", 9: "escape" }; // of a standard gamepad: the keys that they press
 const STANDARD = { steering: 0, brake: 6, throttle: 7 }; // an axis, two triggers
 const TRIGGER_FROM = 0.05;
 const POLLS_TO_BEGIN = 2; // a single spike is noise
@@ -27,9 +28,11 @@ export class Gamepads {
   #pads = new Map();
   #settings;
   #onProblem;
+  #onKey;
 
-  /** `onProblem` gets messages for the person. */
-  constructor(settings, onProblem) {
+  /** `onProblem` gets messages for the person, `onKey` the keys that a gamepad's buttons press. */
+  constructor(settings, onProblem, onKey) {
+    this.#onKey = onKey;
     this.#settings = settings;
     this.#onProblem = onProblem;
   }
@@ -74,7 +77,7 @@ export class Gamepads {
   }
 
   #plug(index, pad) {
-    const state = { name: String(pad.id).slice(0, 60) || "gamepad", moved: 0, hasRested: false, flips: [], side: 0, rests: {} };
+    const state = { name: String(pad.id).slice(0, 60) || "gamepad", moved: 0, hasRested: false, flips: [], side: 0, rests: {}, down: {} };
     this.#pads.set(index, state);
     return state;
   }
@@ -95,10 +98,19 @@ export class Gamepads {
   #read(state, pad, now) {
     const { dead_zone, curve, steer_axis, throttle_axis, brake_axis } = this.#settings;
     const isStandard = pad.mapping === "standard";
+    if (isStandard) this.#press(state, pad.buttons);
     const steering = shaped(pad.axes[isStandard ? STANDARD.steering : steer_axis], dead_zone, curve);
     if (this.#isNoise(state, steering, now)) return { steering: 0, throttle: 0 };
     const pedal = (button, axis) => Math.max(trigger(pad.buttons[button]), isStandard ? 0 : pressed(state, pad.axes, axis));
     return { steering, throttle: pedal(STANDARD.throttle, throttle_axis) - pedal(STANDARD.brake, brake_axis) };
+  }
+
+  #press(state, buttons) {
+    for (const [at, key] of Object.entries(BUTTONS)) {
+      const isDown = trigger(buttons[at]) > 0;
+      if (isDown && state.down[at] === false) this.#onKey(key); // it was seen released before
+      state.down[at] = isDown;
+    }
   }
 
   #isNoise(state, steering, now) {

@@ -5,6 +5,7 @@ export class Hands {
   #settings;
   #used;
   #before = new Map();
+  #hasBegun = false;
 
   constructor(devices, settings) {
     this.#devices = devices;
@@ -16,6 +17,15 @@ export class Hands {
     for (const device of this.#devices) device.release();
   }
 
+  get isWaiting() {
+    return !this.#hasBegun;
+  }
+
+  /** The speed is held from now on; before, the car waits for the first touch. */
+  begin() {
+    this.#hasBegun = true;
+  }
+
   /** The control after so many more seconds. */
   control(seconds) {
     for (const device of this.#devices) device.advance(seconds);
@@ -24,13 +34,15 @@ export class Hands {
     for (const device of this.#devices) {
       this.#before.set(device, { isSteering: device.isSteering, isTouching: device.isTouching });
     }
+    const touching = this.#devices.some((device) => device.isTouching);
+    this.#hasBegun ||= touching;
     const throttle = this.#devices.find((device) => device.throttle)?.throttle ?? 0;
     return {
       steering: this.#used.steering,
       throttle,
-      hold_mph: this.#settings.holds && !throttle ? this.#settings.hold_mph : null,
+      hold_mph: this.#settings.holds && this.#hasBegun && !throttle ? this.#settings.hold_mph : null,
       device: this.#used.device,
-      touching: this.#devices.some((device) => device.isTouching),
+      touching,
     };
   }
 }

@@ -26,7 +26,7 @@ export const delays = new Delays();
 const keys = new Keys();
 const mouse = new Drag(by("cockpit"), "mouse", touched);
 const finger = new Drag(by("cockpit"), "touch", touched);
-const pads = new Gamepads(settings, report);
+const pads = new Gamepads(settings, report, pressed);
 export const hands = new Hands([keys, mouse, finger, pads], settings);
 const panel = new Panel();
 const picture = new Picture(by("picture"));
@@ -38,11 +38,13 @@ let before_ms = performance.now();
 let event_ms = null; // time of the first event that is not sent yet
 let isHolder = false;
 let wasHolder = heldBefore(page.dataset.at); // its old connection may still hold the wheel for a moment
+if (wasHolder) hands.begin(); // it was driving before it was loaded again
 let asksLeft = 0;
 let isAsked = false;
 let isFree = false; // nobody holds the wheel
 let isOver = false;
 let isRecording = false;
+let hasRecorded = false;
 
 const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
 
@@ -94,7 +96,7 @@ function letGo() {
   delays.forget();
   event_ms = null;
   if (!isHolder) return;
-  send({ steering: 0, throttle: 0, hold_mph: settings.holds ? settings.hold_mph : null, device, touching: false }, performance.now());
+  send({ steering: 0, throttle: 0, hold_mph: settings.holds && !hands.isWaiting ? settings.hold_mph : null, device, touching: false }, performance.now());
 }
 
 function connected(isOpen) {
@@ -169,7 +171,19 @@ async function show(frame, jpeg) {
   isRecording = frame.is_recording;
   panel.show(frame, isHolder, delays.median);
   stalled(frame);
+  hint(frame);
   page.dataset.frame = frame.frame;
+}
+
+/** One hint at a time, until the person has done it. */
+function hint(frame) {
+  const isTouch = matchMedia("(hover: none)").matches;
+  hasRecorded ||= frame.is_recording;
+  let text = "";
+  if (isHolder && hands.isWaiting && frame.drives !== "pilot") text = isTouch ? "Drag to start" : "Steer, or press ↑, to start";
+  else if (isHolder && !hasRecorded && !by("record").hidden) text = isTouch ? "Tap Record: a network learns from it" : "Press R to record: a network learns from it";
+  by("hint").hidden = !text;
+  write("hint", text);
 }
 
 /** Dim the picture of a simulator that sends no new one, and say why. */
@@ -196,7 +210,7 @@ function ended({ why }) {
   link.close();
   showProblem("");
   for (const id of ["drive", "seat", "help", "stalled"]) by(id).hidden = true;
-  for (const element of page.querySelectorAll(".tools, details, #driver, #help-button")) element.hidden = true;
+  for (const element of page.querySelectorAll(".tools, details, #driver, #help-button, #full-screen")) element.hidden = true;
   write("recording", "ended");
   by("recording").classList.remove("on");
   write("ended-title", why ? `${why[0].toUpperCase()}${why.slice(1)}` : "The drive has ended");
@@ -231,18 +245,25 @@ function toggleRecorded() {
   link.send({ type: "view", recorded: settings.recorded });
 }
 
+/** A gamepad's button does what this key does; in the question whether to end, it answers. */
+function pressed(key) {
+  if (by("confirm").open) return by("confirm").close(key === "escape" || key === "r" ? "end" : "");
+  if (!isOver) actions[key]();
+}
+
 const actions = {
   r: () => request({ type: isRecording ? "pause" : "record" }),
   x: () => request({ type: "bad", seconds: BAD_S }),
   h: () => request({ type: "hand_back" }),
   b: () => request({ type: "put_back" }),
   v: toggleRecorded,
-  p: () => change("holds", !settings.holds),
+  p: () => (hands.begin(), change("holds", !settings.holds)),
   t: askOrGive,
   escape: confirmEnd,
+  f: () => (document.fullscreenElement ? document.exitFullscreen() : page.requestFullscreen?.()),
   "?": toggleHelp,
 };
-const buttons = { record: "r", bad: "x", "hand-back": "h", "put-back-button": "b", recorded: "v", end: "escape", "help-button": "?" };
+const buttons = { record: "r", bad: "x", "hand-back": "h", "put-back-button": "b", recorded: "v", end: "escape", "help-button": "?", "full-screen": "f" };
 for (const [id, key] of Object.entries(buttons)) {
   by(id).addEventListener("click", (event) => {
     actions[key]();
