@@ -109,7 +109,7 @@ REQUESTS: dict[Callable[[Store], None], int] = {
     upload_in_parts: 10,
     download: 6,
     index: 7,
-    read: 13,
+    read: 12,
 }
 """What is done with a store, and how many requests that is."""
 
