@@ -37,6 +37,7 @@ def _command(prog: str, module: str) -> Callable[[], None]:
 bc_record = _command("bc-record", "recorder.cli")
 bc_import = _command("bc-import", "recorder.import_cli")
 bc_log = _command("bc-log", "recorder.log_cli")
+bc_copy = _command("bc-copy", "drive.copy_cli")
 bc_index = _command("bc-index", "dataset.cli")
 bc_train = _command("bc-train", "model.cli")
 bc_drive = _command("bc-drive", "drive.cli")

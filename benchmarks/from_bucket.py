@@ -34,7 +34,6 @@ from common.location import Location, Url
 from common.object_store import find_object
 from common.store_connection import forget_stores
 from dataset import IndexConfig, build_index
-from dataset.index.stored_index import index_here
 from model.config import TrainConfig
 from model.runs.training_progress import Epoch, Step
 from model.training.trainer import train
@@ -156,17 +155,6 @@ def print_logs(sessions: Path, server: Server) -> None:
         print(
             f"| the same logs on a disk | {total / 1e6:,.1f} | | {(_bytes_read() - read) / 1e6:,.2f} |", flush=True
         )
-        for cache, what in (
-            ("one", "`--index` in the bucket, too"),
-            ("one", "again"),
-            ("two", "again, on another machine"),
-        ):
-            before = server.counts()
-            os.environ["BC_CACHE"] = f"{folder}/{cache}"
-            with index_here(Url("s3", BUCKET, "index"), logs) as (here, put):
-                build_index(logs, here)
-                put()
-            _print_moved(what, total, server, before)
 
 
 def _bytes_read() -> int:

@@ -7,7 +7,6 @@ Ctrl-C.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import inspect
 import logging
 import os
@@ -15,7 +14,6 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import tyro
@@ -25,7 +23,6 @@ from common.flag_errors import flag_errors_in_one_line, refuse_empty_flags
 from common.flag_help import asks_for_help, print_help
 from common.flag_types import quick_types
 from common.interrupts import interrupting_signals
-from common.location import refuse_collapsed
 from common.location_flag import path_flags
 from common.output import MessageHandler, print_message, print_result
 from common.streams import command_streams
@@ -157,7 +154,6 @@ def _run(
         with flag_errors_in_one_line(config), quick_types(), path_flags():
             parsed = tyro.cli(config, prog=prog, description=about, config=flags, **defaults)
         refuse_empty_flags(config)
-        _refuse_urls(parsed)
         return action(parsed)
     except UserError as error:
         why: str | None = str(error)
@@ -185,19 +181,6 @@ def _run(
         return print_error(prog, kind(why))
     print_message("stopped", heading=f"{prog}:")
     return INTERRUPTED
-
-
-def _refuse_urls(value: object) -> None:
-    """Raise UsageError if a flag that accepts only paths was given a URL. `value` is a flag or a group of
-    flags."""
-    if isinstance(value, Path):
-        refuse_collapsed(value)
-    elif isinstance(value, tuple):
-        for item in value:
-            _refuse_urls(item)
-    elif dataclasses.is_dataclass(value):
-        for flag in dataclasses.fields(value):
-            _refuse_urls(getattr(value, flag.name))
 
 
 def _no_memory(error: Exception) -> str:

@@ -10,11 +10,11 @@ import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, overload
+from typing import Final
 
 from common.errors import UserError
 from common.interrupts import uninterrupted
-from common.location import Location, Url
+from common.location import Location
 from common.untrusted import real_path
 
 PART_SUFFIX = ".part"
@@ -223,18 +223,7 @@ def _name_folder(part: Path, folder: Path) -> None:
         raise UserError(f"{folder} cannot be created ({error.strerror}); nothing was kept") from None
 
 
-@overload
-def short_path(path: Path) -> Path: ...
-
-
-@overload
-def short_path(path: Location) -> Location: ...
-
-
-def short_path(path: Location) -> Location:
-    """The path relative to the working folder, if the folder contains it; else the absolute path. URLs
-    unchanged."""
-    if isinstance(path, Url):
-        return path
+def short_path(path: Path) -> Path:
+    """The path relative to the working folder, if the folder contains it; else the absolute path."""
     resolved = real_path(path)
     return resolved.relative_to(Path.cwd()) if resolved.is_relative_to(Path.cwd()) else resolved

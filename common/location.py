@@ -7,9 +7,7 @@
 from __future__ import annotations
 
 import os
-import posixpath
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, TypeAlias
@@ -58,26 +56,9 @@ class Url:
     def with_name(self, name: str) -> Url:
         return self.parent / name
 
-    def is_in(self, folder: Url) -> bool:
-        """True if `folder`, or a folder within it, contains this place."""
-        is_same_bucket = (self.scheme, self.bucket) == (folder.scheme, folder.bucket)
-        return is_same_bucket and self.key.startswith(f"{folder.key}/" if folder.key else "")
-
     def name_in(self, folder: Url) -> str:
         """The path relative to `folder`, which contains this place."""
         return self.key.removeprefix(f"{folder.key}/")
-
-    def joined(self, relative: str) -> Url:
-        """This folder joined with a relative path. Raises ValueError if the path leads out of the bucket."""
-        parts = self.key.split("/") if self.key else []
-        for part in relative.split("/"):
-            if part == "..":
-                if not parts:
-                    raise ValueError(f"{relative} leads out of {self}")
-                parts.pop()
-            elif part not in ("", "."):
-                parts.append(part)
-        return Url(self.scheme, self.bucket, "/".join(parts))
 
 
 Location: TypeAlias = Path | Url
@@ -106,54 +87,28 @@ def location(text: str | Location) -> Location:
     return Url(scheme, bucket, "/".join(filter(None, key.split("/"))))
 
 
-def is_in_store(text: str) -> bool:
-    """True if the text is the URL of an object or folder in a store."""
-    match = _URL.fullmatch(text)
-    return match is not None and match[1].lower() in SCHEMES
-
-
 def absolute(place: Location) -> Location:
     """The same place, independent of the working folder."""
     return place if isinstance(place, Url) else real_path(place)
 
 
-def local_path(place: Location) -> Path:
+def local_path(place: str | Location) -> Path:
     """The place as a path of this machine. Raises UserError for a place in a store."""
-    if isinstance(place, Url):
-        raise UserError(f"{place} must be on this machine: run `bc-log copy {place} FOLDER`")
-    return place
-
-
-def refuse_collapsed(path: Path) -> None:
-    """Raise UsageError for a path that `pathlib` has made from a URL: the flag accepts only local files."""
-    if _COLLAPSED.match(text := os.fspath(path)):
-        refuse_urls([_with_all_slashes(text)])
+    path = location(place)
+    if isinstance(path, Url):
+        raise UserError(f"{path} is in a store; bring it here first: `bc-copy {path} FOLDER`")
+    return path
 
 
 def _with_all_slashes(text: str) -> str:
     return text.replace(":/", ":///" if text.startswith("file:") else "://", 1)
 
 
-def refuse_urls(words: Sequence[str]) -> None:
-    """Raise UsageError for a URL among the words of a command that accepts only local files."""
-    for word in words:
-        if (match := _URL.fullmatch(word)) and match[1].lower() in (*SCHEMES, "file"):
-            raise UsageError(
-                f"{word}: expected a path of this machine, not a URL; `bc-log copy {word} FOLDER` downloads a"
-                " log, `bc-log copy LOG URL` uploads one; `bc-train --copy-to URL` uploads a run; its name is then"
-                " URL/NAME"
-            )
-
-
-def relative_to(place: Location, folder: Location) -> str:
-    """The relative path by which a file in `folder` refers to `place`, so that both can be moved together. If only
-    one of them is in a store, or they are in different buckets: the URL of `place`."""
+def relative_to(place: Location, folder: Path) -> str:
+    """The relative path by which a file in `folder` refers to `place`, so that both can be moved together; the URL
+    of a place in a store."""
     if isinstance(place, Url):
-        if not isinstance(folder, Url) or (place.scheme, place.bucket) != (folder.scheme, folder.bucket):
-            return str(place)
-        return posixpath.relpath(f"/{place.key}", f"/{folder.key}")
-    if isinstance(folder, Url):
-        return real_path(place).as_uri()
+        return str(place)
     return Path(os.path.relpath(real_path(place), real_path(folder))).as_posix()
 
 

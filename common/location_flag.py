@@ -8,7 +8,7 @@ from typing import Annotated, TypeAlias
 
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from common.location import Location, Url, location
+from common.location import Location, Url, local_path, location
 
 
 def location_spec(metavar: str, place_of: Callable[[str], Location]) -> PrimitiveConstructorSpec[Location]:
@@ -29,12 +29,12 @@ def _not_empty(word: str) -> str:
 
 
 def path_flags() -> ConstructorRegistry:
-    """A context in which tyro refuses empty paths."""
+    """A context in which tyro refuses empty paths, and URLs of stores."""
     registry = ConstructorRegistry()
 
     @registry.primitive_rule
     def path_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Location] | None:
-        return location_spec("PATH", Path) if info.type is Path else None
+        return location_spec("PATH", local_path) if info.type is Path else None
 
     return registry
 

@@ -8,8 +8,6 @@ import time
 from pathlib import Path
 from typing import IO, Final
 
-from common.location import Location
-
 if sys.platform == "win32":
     import msvcrt
 else:
@@ -43,13 +41,13 @@ def try_lock(stream: IO[bytes]) -> bool:
     return True
 
 
-def is_being_written(path: Location) -> bool:
+def is_being_written(path: Path) -> bool:
     """True if a process of this machine is still writing the file at `path`.
 
-    False for objects in a store, for missing files and folders, and if the file system has no locks.
+    False for missing files and folders, and if the file system has no locks.
     """
     try:
-        if not isinstance(path, Path) or not path.is_file():  # opening a pipe would wait for its writer
+        if not path.is_file():  # opening a pipe would wait for its writer
             return False
         with path.open("rb") as stream:
             return _is_locked(stream)

@@ -6,7 +6,6 @@ import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 
 from common.closeable import Closeable
@@ -36,19 +35,6 @@ _MAX_KEPT_STRETCHES: Final = 16
 _END_BYTES: Final = 1 << 17  # the end of a file, read at opening: the summary of a log is at its end
 
 
-@dataclass(frozen=True)
-class ObjectVersion:
-    """Identifies the content of an object: every later write gives it another version."""
-
-    e_tag: str  # in the store's spelling
-    version: str | None = None  # only in stores that keep versions
-
-    @property
-    def name(self) -> str:
-        """The ETag without its quotation marks, as in `StoredObject.version`."""
-        return self.e_tag.strip('"')
-
-
 class ObjectFile(Closeable):
     """An object, open for reading at any offset, from any thread. If the object is replaced while it is open,
     reading raises ObjectChangedError."""
@@ -72,7 +58,7 @@ class ObjectFile(Closeable):
                 meta, data = read_part(url, (0, _MIN_READ))
                 is_end = len(data) == meta["size"]
         self.size: int = meta["size"]
-        self.version = ObjectVersion(meta["e_tag"] or "", meta["version"])
+        self.e_tag: str = meta["e_tag"] or ""  # every later write gives the object another one
         self._keep(self.size - len(data) if is_end else 0, data)
         if not is_end:
             last = min(_END_BYTES, self.size)
@@ -123,11 +109,11 @@ class ObjectFile(Closeable):
 
         def part() -> bytes | None:
             options: GetOptions = {"range": (offset, offset + length)}
-            if self.version.e_tag:
-                options["if_match"] = self.version.e_tag
+            if self.e_tag:
+                options["if_match"] = self.e_tag
             try:
                 answer = obstore.get(store_of(self.url, True), self.url.key, options=options)
-                if (answer.meta["e_tag"] or "") != self.version.e_tag or answer.meta["size"] != self.size:
+                if (answer.meta["e_tag"] or "") != self.e_tag or answer.meta["size"] != self.size:
                     self._changed()
                 data = answer.bytes().to_bytes()
             except failures.PreconditionError:
@@ -146,7 +132,7 @@ class ObjectFile(Closeable):
     def _changed(self) -> NoReturn:
         raise ObjectChangedError(
             f"{self.url}: was replaced while it was read (another ETag or size than"
-            f" {self.version.e_tag or self.size}); give the command again"
+            f" {self.e_tag or self.size}); give the command again"
         )
 
     def _kept_bytes(self, offset: int, length: int) -> bytes | None:

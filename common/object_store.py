@@ -12,21 +12,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from common.errors import ObjectChangedError, StoreError
+from common.errors import StoreError
 from common.location import Url
-from common.object_file import MAX_READ_AHEAD, ObjectFile, ObjectVersion, again_if_cut_off, read_part
+from common.object_file import MAX_READ_AHEAD, again_if_cut_off, read_part
 from common.store_connection import store_of
 from common.store_errors import as_store_error, is_no_bucket, is_refused, obstore
 from common.store_errors import exceptions as failures
 
 if TYPE_CHECKING:
-    from obstore import ObjectMeta, PutMode, PutResult
+    from obstore import ObjectMeta, PutResult
 
 OnBytes: TypeAlias = Callable[[int], object]
 """Called with the number of bytes transferred since the last call."""
 
-MAX_IN_ONE_REQUEST: Final = 5 << 30
-"""The largest object that S3 writes or copies in one request. Only single requests can have a condition."""
+_MAX_IN_ONE_REQUEST: Final = 5 << 30  # bytes, of S3
 _AT_ONCE: Final = 4  # parts
 _MAX_PARTS: Final = 9000  # of an object; stores allow 10,000 or more
 
@@ -108,39 +107,12 @@ def put_over(url: Url, data: bytes) -> None:
         obstore.put(store_of(url, True), url.key, data)
 
 
-def put_file(url: Url, file: Path, replaces: ObjectVersion | None) -> ObjectVersion:
-    """Upload a file atomically. It replaces only the version `replaces`; with None, no object may exist.
-
-    Raises ObjectChangedError if the store has another version, which stays; StoreError, also if the file is larger
-    than 5 GB.
-    """
-    if (size := file.stat().st_size) > MAX_IN_ONE_REQUEST:
-        raise StoreError(f"{url}: {size:,} bytes are more than a store accepts in one request")
-    current = find_object(url) if replaces is not None else None  # not every store supports the condition
+def put_file(url: Url, file: Path) -> str:
+    """Upload a file atomically, replacing an existing object. Returns the object's version. Raises OSError."""
+    is_large = file.stat().st_size > _MAX_IN_ONE_REQUEST
     with as_store_error(url):
-        try:
-            mode: PutMode = "create"
-            if replaces is not None:
-                if current is None or current.version != replaces.name:
-                    raise failures.PreconditionError
-                mode = {"e_tag": replaces.e_tag}
-                if replaces.version is not None:
-                    mode["version"] = replaces.version
-            result = obstore.put(store_of(url, True), url.key, file, mode=mode, use_multipart=False)
-        except (failures.PreconditionError, failures.AlreadyExistsError):
-            if (version := _version_if_same(url, file)) is not None:  # this call wrote it, but the answer was lost
-                return version
-            raise ObjectChangedError(
-                f"{url}: another machine has changed it at the same time; its version stays"
-            ) from None
-    return ObjectVersion(result["e_tag"] or "", result["version"])
-
-
-def _version_if_same(url: Url, file: Path) -> ObjectVersion | None:
-    """The object's version if its bytes equal those of the file, else None. Raises StoreError."""
-    with ObjectFile(url) as stored, file.open("rb") as stream:
-        is_same = all(data == stream.read(len(data)) for data in stored.read_from()) and not stream.read(1)
-        return stored.version if is_same else None
+        result = obstore.put(store_of(url, True), url.key, file, use_multipart=is_large)
+    return (result["e_tag"] or "").strip('"')
 
 
 def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
@@ -166,22 +138,6 @@ def put_parts(url: Url, parts: Iterable[bytes], size: int) -> None:
 
     with as_store_error(url):
         again_if_cut_off(url, put, lambda: not has_begun)
-
-
-def name_new(source: Url, url: Url) -> None:
-    """Rename the object `source` to `url` in the same bucket, without downloading it.
-
-    Raises ObjectExistsError if `url` exists, also if this call has made it but the store's answer was lost. After
-    any error, `source` still exists.
-    """
-
-    def copy() -> bool:
-        obstore.copy(store_of(url, True), source.key, url.key, overwrite=False)
-        return True
-
-    with as_store_error(url):
-        again_if_cut_off(url, copy)
-    remove(source)
 
 
 def remove(url: Url) -> None:

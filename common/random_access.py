@@ -63,15 +63,6 @@ class LocalFile(Closeable):
         return (self.read(offset, length) for offset, length in ranges)
 
 
-def file_exists(place: Location) -> bool:
-    """True if the file or the object exists. Raises StoreError."""
-    if isinstance(place, Url):
-        from common.object_store import find_object
-
-        return find_object(place) is not None
-    return place.is_file()
-
-
 def read_bytes(place: Location, max_bytes: int) -> bytes | None:
     """All of a small file; None if it does not exist. Of a larger local file, the first `max_bytes`. Raises
     OSError; StoreError, also for a larger object."""

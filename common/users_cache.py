@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 from pathlib import Path
 
 from common.errors import UserError
-from common.location import Url
 
 
 def users_cache() -> Path:
@@ -26,9 +24,3 @@ def users_cache() -> Path:
         except RuntimeError:
             raise UserError("no home folder for the cache: set BC_CACHE to a folder") from None
     return caches / "behavioural-cloning-toolkit"
-
-
-def cached_copy(url: Url, kind: str = "folders") -> Path:
-    """The path for a copy of a store's folder, which need not exist. Each `kind` of user has its own copy."""
-    digest = hashlib.sha256(str(url).encode()).hexdigest()[:12]
-    return users_cache() / kind / digest / (url.name or url.bucket)

@@ -37,8 +37,8 @@ class Index:
     """Names of sessions, or paths; by default all."""
     folder: Annotated[LocationFlag, tyro.conf.arg(name="sessions")] = Path("sessions")
     """Folder of the logs."""
-    index: LocationFlag = Path("index")
-    """Folder of the index, or a URL if the logs are in a bucket."""
+    index: Path = Path("index")
+    """Folder of the index."""
     look: bool = False
     """Decode all pictures; flag broken and frozen ones, and those that contradict the steering."""
     check: bool = False

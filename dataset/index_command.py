@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pyarrow.compute as pc
@@ -12,7 +10,6 @@ import pyarrow.compute as pc
 from common.command import FAILED, flags_given, warn
 from common.errors import UsageError, counted, first_of
 from common.files import session_name
-from common.location import Location, Url
 from common.output import print_message, print_next, print_result, print_table
 from common.ray_flag import tasks_of
 from dataset.frames.frames_file import check_where
@@ -21,7 +18,6 @@ from dataset.index.build import Indexed, build_index, check_settings
 from dataset.index.index_report import balance_table, labels_table, print_log_notices, sessions_table
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import find_logs, sessions_beside
-from dataset.index.stored_index import index_here
 from dataset.parquet_file import read_columns
 from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -32,25 +28,18 @@ if TYPE_CHECKING:
 def index(config: Index) -> int:
     _refuse_contradictions(config)
     logs = find_logs(config.sessions, config.folder)
-    with index_here(config.index, logs) as (folder, put):
-        return _index_in(folder, config, logs, put)
-
-
-def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callable[[], object]) -> int:
-    """Build the index in `folder`; `put` then copies it to the store, if the index is in a store."""
     # first, before any file is written and before the slow steps
-    check_settings(logs, folder, config.config)
+    check_settings(logs, config.index, config.config)
     # if the user named no sessions, a damaged log is skipped
     is_any = not config.sessions
     others = [] if is_any else sessions_beside(logs, config.folder)
     with tasks_of(config.ray) as tasks:
         if config.look:
             by_name = {session_name(log): log for log in logs}
-            check_all_images(by_name, folder, leave_out_unreadable=is_any, tasks=tasks)
+            check_all_images(by_name, config.index, leave_out_unreadable=is_any, tasks=tasks)
         indexed = build_index(
-            logs, folder, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
+            logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
         )
-    put()
     code = print_log_notices(indexed, config.folder, config.sessions)
     for notice in _one_sided(indexed, config):
         code = warn(notice)
@@ -62,13 +51,13 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))
     print_table(balance_table(indexed.balance))
-    split = read_columns(folder / SAMPLES_NAME, ["split"], read_dictionary=["split"])["split"]
+    split = read_columns(config.index / SAMPLES_NAME, ["split"], read_dictionary=["split"])["split"]
     splits = {row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()}
     counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
     frames = sum(session.frames for session in indexed.counts.values())
     print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
     if config.check:
-        leaks = find_leaks(folder)
+        leaks = find_leaks(config.index)
         for leak in leaks:
             print_message(leak)
         print_result(counted(len(leaks), "leak") if leaks else "no leak between training and validation")
@@ -81,11 +70,6 @@ def _index_in(folder: Path, config: Index, logs: Sequence[Location], put: Callab
 
 def _refuse_contradictions(config: Index) -> None:
     """Raise UsageError for flags that contradict each other, and for a wrong condition."""
-    if config.ray not in (None, ("local",)) and isinstance(config.index, Url):
-        raise UsageError(
-            f"--index {config.index}: nodes of a cluster write to a shared folder, not to a store; without --ray,"
-            " this machine builds the index"
-        )
     of_blocks = ("validation_share", *["gap_s"] * (config.config.gap_s > 0))  # whole sessions have a gap of 0
     if config.config.validation and (flags := flags_given(config.config, *of_blocks)):
         raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")

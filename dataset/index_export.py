@@ -11,10 +11,9 @@ import numpy as np
 
 from common import UserError
 from common.errors import UsageError
-from common.location import Location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import check_where, read_frames
-from dataset.index.stored_index import frames_here
+from dataset.index.build_state import FRAMES_FOLDER
 from dataset.samples.sample_choice import choose_frames
 from dataset.samples.samples_format import SessionLabels
 from dataset.samples.samples_reader import Samples
@@ -23,7 +22,7 @@ from recorder.lerobot.log_episodes import ChosenRows
 from recorder.rows.condition import rows_where
 
 
-def export_index(index: Location, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
+def export_index(index: Path, folder: Path, *, where: str | None = None, **options: Any) -> Exported:
     """Write the rows that `index` uses as the new LeRobot dataset `folder`, each with its `split`.
 
     A row is used if settings, tags and flags leave at least one of its frames in the index (before balancing).
@@ -45,7 +44,7 @@ def export_index(index: Location, folder: Path, *, where: str | None = None, **o
     return export_lerobot(list(by_path), folder, chosen=by_path, cameras=cameras, **options)
 
 
-def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
+def _chosen_rows(index: Path, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
     """The used rows that meet `where`, by session."""
     config = samples.settings
     if config.where is not None:
@@ -53,7 +52,6 @@ def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mappin
             check_where(config.where)
         except UsageError as error:  # of an earlier version, which took SQL
             raise DatasetError(f"{index}: made with {error}; run `bc-index` again") from None
-    frames_folder = frames_here(index)
     chosen: dict[str, ChosenRows] = {}
     for session in samples.sources:
         try:
@@ -62,7 +60,7 @@ def _chosen_rows(index: Location, samples: Samples, where: str | None) -> Mappin
             raise DatasetError(
                 f"{samples.path}: lacks the label plan of session {session}; run `bc-index` again"
             ) from None
-        frames = read_frames(frames_folder / f"{session}.parquet")
+        frames = read_frames(index / FRAMES_FOLDER / f"{session}.parquet")
         choice = choose_frames(frames, config, labels)
         is_used = choice.is_chosen if where is None else choice.is_chosen & rows_where(frames, where)
         row, first = np.unique(frames["row"].to_numpy()[is_used], return_index=True)

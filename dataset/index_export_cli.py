@@ -10,7 +10,6 @@ from typing import Annotated
 import tyro
 
 from common.command import run_command
-from common.location_flag import LocationFlag
 from recorder.log_export_cli import print_exported, refuse_no_text
 
 
@@ -20,7 +19,7 @@ class ExportIndex:
 
     lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The new folder of the dataset."""
-    index: LocationFlag = Path("index")
+    index: Path = Path("index")
     """The index."""
     where: Annotated[str | None, tyro.conf.arg(metavar="CONDITION")] = None
     """Only rows that meet this condition on the index's columns."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import did_you_mean
-from common.location import Location, Url
 from dataset.errors import DatasetError
 from dataset.samples.samples_format import SAMPLES_NAME
 
@@ -16,14 +15,11 @@ _MAX_NAMED: Final = 5
 _RUN_CONFIG: Final = "config.json"
 
 
-def missing_index(index: Location) -> DatasetError:
+def missing_index(index: Path) -> DatasetError:
     """The error for a folder without an index: it names the indexes next to it, and the command that builds one.
 
     Raises DatasetError if the path or one of its parents is a file.
     """
-    if isinstance(index, Url):
-        sessions = index.parent / "sessions"
-        return DatasetError(f"{index}: no index; `bc-index --sessions {sessions} --index {index}` builds one")
     refuse_file(index)
     if kind := other_folder(index):
         raise DatasetError(

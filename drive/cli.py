@@ -16,7 +16,7 @@ from common.command import DONE, DONE_BUT_SKIPPED, run_command, usage_errors, wa
 from common.errors import UsageError, counted
 from common.files import refuse_existing
 from common.interrupts import stop_signals
-from common.location import Url, shown_address
+from common.location import shown_address
 from common.output import print_message, print_next, print_result
 from common.preview import has_display, preview
 from common.progress import StatusLine
@@ -46,17 +46,6 @@ def drive(config: Drive) -> int:
     if config.log is not None and config.log.suffix != ".mcap":
         raise UsageError(f"--log {config.log}: a log's name ends in .mcap")
     path = config.log or config.drives / f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.mcap"
-    if not isinstance(path, Url):
-        return _drive_to(path, config, settings)[0]
-    from recorder.log_copy_cli import copy_recording, refuse_taken_name
-
-    refuse_taken_name(path, config.force)
-    code, logs = _drive_to(Path("drives") / path.name, config, settings)
-    return max(code, *(copy_recording(log, path.parent, config.force, prog="bc-drive") for log in logs))
-
-
-def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> tuple[int, list[Path]]:
-    """Drive, and log the drive to `path`. Returns the exit code and all logs: each simulator has its own."""
     refuse_existing(path, config.force)  # before the seconds that torch takes to load
     if config.environment.gym is not None:
         return _drive_environment(config, settings, path)
@@ -116,7 +105,7 @@ def _drive_to(path: Path, config: Drive, settings: DriveConfig) -> tuple[int, li
             code = max(code, keep_supervised(run, settings, config.simulator, server.session))
             if config.page:
                 wait_until_left(path)
-        return code, [session.writer.path for session in server.sessions]
+        return code
 
 
 @contextlib.contextmanager
@@ -168,7 +157,7 @@ def _load(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig,
     return replace(settings, car=car), pilot
 
 
-def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> tuple[int, list[Path]]:
+def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> int:
     from drive.drive_server import drive_metadata
     from drive.drive_session import DriveSession
     from drive.gymnasium_drive import check_pedals, drive_gymnasium, mean_reward
@@ -195,7 +184,7 @@ def _drive_environment(config: Drive, settings: DriveConfig, path: Path) -> tupl
             raise DriveError(f"{path}: nothing was driven: stopped before the first step")
     if len(episodes) > 1:
         print_result(f"reward {mean_reward(episodes):,.1f} on average")
-    return _print_drives([session], config, run), [path]
+    return _print_drives([session], config, run)
 
 
 def _notify(text: str) -> None:

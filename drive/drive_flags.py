@@ -12,7 +12,6 @@ import tyro
 
 from common.command import check_port, flags_given
 from common.errors import UsageError
-from common.location_flag import LocationFlag
 from recorder.sources.gymnasium_flags import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
 
 _PAGE_FLAGS: Final = ("open", "page", "sessions")
@@ -40,10 +39,10 @@ class Drive:
     """Name or folder; by default the newest."""
     network: str | None = None
     """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
-    log: LocationFlag | None = None
+    log: Path | None = None
     """The drive's log; by default DATE.mcap in --drives."""
-    drives: LocationFlag = Path("drives")
-    """Folder of the drives' logs; if it is a URL, finished logs are copied there."""
+    drives: Path = Path("drives")
+    """Folder of the drives' logs."""
     simulator: Annotated[str | None, tyro.conf.arg(metavar="TRACK")] = None
     """Built-in: lake, mountain, random:SEED, or hairpins:SEED."""
     laps: float = 1.0
@@ -58,7 +57,7 @@ class Drive:
     """With --takeover me: open the browser."""
     page: bool = True
     """With --takeover me: serve no page, but use that of a running bc-web."""
-    sessions: LocationFlag = Path("sessions")
+    sessions: Path = Path("sessions")
     """The run's sessions, for the page of --takeover me."""
     speed: float = 10.0
     """Set speed in mph."""
@@ -83,7 +82,7 @@ class Drive:
     environment: tyro.conf.OmitArgPrefixes[GymFlags] = field(default_factory=GymFlags)
     seed: int = 0
     """Seed of --gym's first episode."""
-    runs: LocationFlag = Path("runs")
+    runs: Path = Path("runs")
     """The runs."""
     force: bool = False
     """Replace the log, and the file of --viewer."""

@@ -6,29 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from common import UserError
 from common.command import DONE, warn
 from drive.config import DriveConfig
 from drive.drive_session import DriveSession
 from model.errors import RunWriteError
 from model.runs.kept_results import Way, keep_result
-from model.runs.run_arguments import run_argument
-from model.runs.run_folder import config_folder
-from model.runs.runs_in_store import send_results
 
 
 def keep(run: Path, way: Way, result: Mapping[str, Any]) -> int:
-    """Keep a result in the run's folder, and in the store if the run is in one. A failure is only a warning.
-    Returns exit code 3 if the result is not kept, or not in the store."""
-    folder = config_folder(run)
+    """Keep a result in the run's folder. Returns exit code 3 and prints a warning if that fails."""
     try:
         keep_result(run, way, result)
-        send_results(folder)
     except RunWriteError as error:
         return warn(f"the result is not kept in the run: {error}")
-    except (UserError, OSError) as error:
-        later = f"the next `bc-eval` of {run_argument(folder)} on this machine sends it, too"
-        return warn(f"the result is kept on this machine only ({error}); {later}")
     return DONE
 
 

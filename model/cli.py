@@ -14,15 +14,15 @@ from common import UserError
 from common.command import DONE, run_command, warn, warn_skipped
 from common.errors import counted, first_of, printable
 from common.files import short_path
-from common.location import Location, Url, absolute, is_in_store, local_path, location
+from common.location import Location
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.process_settings import use_large_pages
-from common.random_access import file_exists
+from common.untrusted import real_path
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
 from model.network.names import is_own
-from model.runs.run_arguments import RUNS, new_run_name
+from model.runs.run_arguments import new_run_name
 from model.train_flags import Train, defaults, refuse_contradictions
 
 if TYPE_CHECKING:
@@ -33,19 +33,13 @@ if TYPE_CHECKING:
 
 def train(config: Train) -> int:
     refuse_contradictions(config)
-    if isinstance(config.runs, Url):
-        config = _trained_locally(config.runs, config)
-
     from model.errors import RunWriteError
     from model.runs.run_folder import find_any_run, find_run
-    from model.runs.stored_run import RunCopy, place_of_copies
     from model.training.trainer import train as train_network
 
     is_resumed, settings = config.resume is not None, config.config
     # first everything that can fail at once; building an index may take minutes
     run = _run_of(config)
-    copies = _folder_of_copies(config)
-    copied_to = None if copies is None else place_of_copies(copies, run, is_new=not is_resumed)
     init = find_run(config.init, config.runs) if config.init is not None else None
     if init is not None and config.takeovers:
         from model.runs.network_of_run import network_settings
@@ -58,9 +52,6 @@ def train(config: Train) -> int:
         like = find_any_run(config.like, config.runs)
     summary = _try_network(config, run, init, like)
     listeners = _listeners(config, run)
-    copy = RunCopy(run, copied_to) if copied_to is not None else None
-    if copy is not None:
-        listeners.append(copy)
     is_own_index = bool(config.on or config.takeovers)
     index, code = _own_index(config, run, init) if is_own_index else _index_of(config, like)
     print_result(f"{run}: {summary}{_resumed_at(run, settings.epochs) if is_resumed else ''}")
@@ -68,20 +59,9 @@ def train(config: Train) -> int:
         trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
     except (KeyboardInterrupt, RunWriteError):
         if run.exists():
-            to = f" --copy-to {copies}" if copies is not None else ""
-            print_message(f"bc-train: the run is kept; continue with `{_resume(run, index)}{to}`")
+            print_message(f"bc-train: the run is kept; continue with `{_resume(run, index)}`")
         raise
-    finally:
-        if copy is not None and (problem := copy.finish()):
-            code = warn(f"{problem}; `{_resume(run, index)} --copy-to {copies}` copies the rest")
     return max([code, *map(warn_skipped, trained.skipped), _print_outcome(trained, settings)])
-
-
-def _folder_of_copies(config: Train) -> Location | None:
-    """The folder that the run is copied to, or None; a resumed run in a store is copied back to its folder."""
-    if config.copy_to is None and config.resume is not None and is_in_store(config.resume):
-        return location(config.resume.rstrip("/").rpartition("/")[0])
-    return config.copy_to
 
 
 def _try_network(config: Train, run: Path, init: Path | None, like: Path | None) -> str:
@@ -142,16 +122,6 @@ def _print_outcome(trained: Trained, settings: TrainConfig) -> int:
     return code
 
 
-def _trained_locally(runs: Url, config: Train) -> Train:
-    """The same training in the default folder of runs, with copies to `runs` in a store."""
-    from model.runs.runs_in_store import url_of
-
-    init, like, resume = (url_of(name, runs) for name in (config.init, config.like, config.resume))
-    is_from_store = resume is not None and is_in_store(resume)  # `_folder_of_copies` copies it back
-    copy_to = None if is_from_store else runs
-    return replace(config, runs=RUNS, copy_to=copy_to, init=init, like=like, resume=resume)
-
-
 def _resumed_at(run: Path, epochs: int) -> str:
     """The end of the first printed line: the position at which a resumed run continues; empty if it has learnt all
     its epochs."""
@@ -165,14 +135,14 @@ def _resumed_at(run: Path, epochs: int) -> str:
     return "" if is_over else f", continued in epoch {position.epoch:,} after batch {position.batch:,}"
 
 
-def _resume(run: Path, index: Location) -> str:
+def _resume(run: Path, index: Path) -> str:
     from model.runs.network_of_run import own_network_flag
     from model.runs.run_arguments import run_argument
     from model.runs.run_folder import load_config
     from model.runs.run_inputs import index_of
 
     stored = index_of(run)
-    is_stored = stored is not None and absolute(stored) == absolute(index)
+    is_stored = isinstance(stored, Path) and real_path(stored) == real_path(index)
     given = "" if is_stored else f" --index {shlex.quote(str(index))}"
     return f"bc-train --resume {run_argument(run)}{own_network_flag(load_config(run), run)}{given}"
 
@@ -208,22 +178,20 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
 def _run_of(config: Train) -> Path:
     from model.runs.run_folder import find_any_run, refuse_existing_run
 
-    if (resumed := config.resume) is not None:
-        # a run in a store was already copied to `config.runs`, under its name
-        name = resumed.rstrip("/").rpartition("/")[2] if is_in_store(resumed) else resumed
-        return find_any_run(name, config.runs)
-    run = local_path(config.runs) / (config.name or new_run_name())
+    if config.resume is not None:
+        return find_any_run(config.resume, config.runs)
+    run = config.runs / (config.name or new_run_name())
     refuse_existing_run(run)
     return run
 
 
-def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, int]:
+def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Path, int]:
     """Build the index of --on or --takeovers. Returns it and the exit code of its notices."""
     from common.files import session_name
     from dataset import IndexConfig, find_logs
     from model.runs.reproduce import logs_with_takeovers
 
-    index = local_path(config.index).with_name(f"index-{run.name}")
+    index = config.index.with_name(f"index-{run.name}")
     if index.exists() or index.is_symlink():
         raise UserError(f"{index} exists already, perhaps of a stopped training: remove it, or give a new --name")
     takeovers: list[Location] = []
@@ -244,32 +212,32 @@ def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Location, i
     return index, code
 
 
-def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
+def _index_of(config: Train, like: Path | None) -> tuple[Path, int]:
     """The index to train on, built if missing, and the exit code of its notices. `like` is the run to resume or
     repeat."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME, not_learnt_in
 
-    is_built = file_exists(config.index / SAMPLES_NAME)
+    is_built = (config.index / SAMPLES_NAME).is_file()
     if like is not None and (config.resume is None or not is_built):
         from model.runs.reproduce import index_of_run
 
         codes = [DONE]
         index = index_of_run(like, config.index, config.sessions, lambda notice: codes.append(warn(notice)))
-        if is_built and index != absolute(config.index):
+        if is_built and index != real_path(config.index):
             print_message(f"{config.index}: not the samples of {like}, which are in {short_path(index)}")
         return index, max(codes)
     if not is_built:
         index = config.index
         # only of the default name, in a folder that exists: another name may be misspelt
-        if not (isinstance(index, Path) and index.name == Train.index.name and index.parent.is_dir()):
+        if not (index.name == Train.index.name and index.parent.is_dir()):
             raise missing_index(index)
         print_message(f"{config.index}: no index yet; building it from {config.sessions}")
         logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
-        _, code = _build_index(logs, local_path(config.index), settings, config.sessions)
+        _, code = _build_index(logs, config.index, settings, config.sessions)
         return config.index, code
-    if config.resume is None and isinstance(config.index, Path):
+    if config.resume is None:
         for line in not_learnt_in(config.index):
             print_message(line)
         if absent := sessions_not_indexed(config.index, config.sessions):
@@ -280,7 +248,7 @@ def _index_of(config: Train, like: Path | None) -> tuple[Location, int]:
 
 
 def _build_index(
-    logs: Sequence[Location], index: Path, settings: IndexConfig, folder: Location, sessions: Sequence[str] = ()
+    logs: Sequence[Location], index: Path, settings: IndexConfig, folder: Path, sessions: Sequence[str] = ()
 ) -> tuple[Indexed, int]:
     """Build an index as `bc-index` does: skip and print logs that cannot be read. Also returns the exit code."""
     from dataset import build_index

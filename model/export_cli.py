@@ -13,9 +13,7 @@ import tyro
 
 from common.command import DONE, run_command, warn
 from common.errors import UsageError
-from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
-from common.store_record import cached_from
 from model.runs.run_arguments import RUNS
 
 
@@ -35,7 +33,7 @@ class Export:
     """Licence on the hub's card, such as mit or cc-by-4.0."""
     network: str | None = None
     """Your network's code: FILE.py:CLASS or MODULE:CLASS."""
-    runs: LocationFlag = RUNS
+    runs: Path = RUNS
     """The runs."""
     force: bool = False
     """Replace an existing file."""
@@ -68,10 +66,9 @@ def _refuse_contradictions(config: Export) -> None:
 
 def _export_onnx(run: Path, config: Export) -> int:
     from model.onnx_export import example, export_onnx, input_line
-    from model.runs.run_folder import config_folder, picture_of_run, run_name
+    from model.runs.run_folder import picture_of_run, run_name
 
-    folder = Path() if cached_from(config_folder(run)) else run
-    path = config.onnx[0] if config.onnx else folder / f"{run_name(run)}.onnx"
+    path = config.onnx[0] if config.onnx else run / f"{run_name(run)}.onnx"
     difference = export_onnx(run, path, overwrite=config.force)
     picture = picture_of_run(run)
     print_result(_written(path, difference), f"input {input_line(picture)}")

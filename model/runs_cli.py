@@ -18,8 +18,6 @@ from rich.table import Table
 from common import UserError
 from common.command import DONE, run_command, warn
 from common.errors import decimal, printable
-from common.location import Url
-from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result, print_table
 
 if TYPE_CHECKING:
@@ -43,10 +41,9 @@ class Runs:
 
     bc-runs
     bc-runs --sort interventions
-    bc-runs --runs s3://my-bucket/runs
     """
 
-    runs: LocationFlag = Path("runs")
+    runs: Path = Path("runs")
     """The runs."""
     sort: Literal["newest", "name", "rmse", "balanced-rmse", "correlation", "interventions"] = "newest"
     """Order of the list, best first; runs with the same held-out frames together."""
@@ -58,16 +55,15 @@ def list_runs(config: Runs) -> int:
     from model.runs.run_files import CONFIG
     from model.runs.run_summary import summarize_runs
 
-    if isinstance(config.runs, Path) and not config.runs.is_dir():
+    if not config.runs.is_dir():
         problem = "a file, not a folder" if config.runs.exists() else "the folder does not exist"
         raise UserError(f"{config.runs}: {problem}; train a run with `bc-train`, or give --runs FOLDER")
     summaries = list(summarize_runs(config.runs))
-    if not summaries and isinstance(config.runs, Path) and (config.runs / CONFIG).exists():
+    if not summaries and (config.runs / CONFIG).exists():
         folder = shlex.quote(str(config.runs.absolute().parent))
         raise UserError(f"{config.runs}: a run; `bc-runs --runs {folder}` lists those of its folder")
     if not summaries:
-        flag = f" --runs {config.runs}" if isinstance(config.runs, Url) else ""
-        raise UserError(f"{config.runs}: no run in it; train one with `bc-train{flag}`")
+        raise UserError(f"{config.runs}: no run in it; train one with `bc-train`")
     runs = in_order([run for run in summaries if not run.problem], config.sort)
     if config.json:
         _print_json(runs)

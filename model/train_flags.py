@@ -13,8 +13,7 @@ from typing import Annotated, ClassVar, Final
 import tyro
 
 from common.errors import UsageError, counted
-from common.location import Url, is_in_store, location
-from common.location_flag import LocationFlag
+from common.location import local_path
 from common.process_settings import usable_cores
 from common.recipe import recipe_given
 from model.config import TrainConfig
@@ -33,8 +32,11 @@ class Train:
     `bc-train export RUN` writes a network for other programs (--onnx) or the Hugging Face hub (--hub).
     """
 
-    RARE: ClassVar[str] = "tensorboard listener sessions drives copy_to"
-    REMOVED: ClassVar[Mapping[str, str]] = {"--ray": "one training is one process; leave it out"}
+    RARE: ClassVar[str] = "tensorboard listener sessions drives"
+    REMOVED: ClassVar[Mapping[str, str]] = {
+        "--ray": "one training is one process; leave it out",
+        "--copy-to": "`bc-copy runs/NAME s3://BUCKET/runs/NAME --follow` copies the run while it is trained",
+    }
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Name of the run; by default date, time and six random digits."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
@@ -51,16 +53,14 @@ class Train:
     """Also write the curves for TensorBoard."""
     listener: str | None = None
     """Your code that receives the progress: FILE.py:CLASS or MODULE:CLASS."""
-    index: LocationFlag = Path("index")
+    index: Path = Path("index")
     """The index."""
-    sessions: LocationFlag = Path("sessions")
+    sessions: Path = Path("sessions")
     """The logs, if the index must be built."""
-    drives: LocationFlag = Path("drives")
+    drives: Path = Path("drives")
     """The drives that --init learnt from."""
-    runs: LocationFlag = RUNS
-    """Folder of the runs; at a URL, the run is copied as it grows."""
-    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Also copy the run to this store."""
+    runs: Path = RUNS
+    """Folder of the runs."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
@@ -80,8 +80,6 @@ def refuse_contradictions(config: Train) -> None:
         )
     if config.on and config.takeovers:
         raise UsageError("--on, --takeovers: give one of them")
-    if isinstance(config.runs, Url) and config.copy_to is not None:
-        raise UsageError(f"--runs {config.runs}: already copies the run to this URL: leave out --copy-to")
     if config.config.threads and config.config.threads > _MOST_PER_CORE * (cores := usable_cores()):
         most = f"at most {_MOST_PER_CORE * cores}, as this process has {counted(cores, 'core')}"
         raise UsageError(f"--threads {config.config.threads}: expected {most}; more are slower")
@@ -98,8 +96,8 @@ def defaults() -> Train:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for flag in ("--resume", "--like", "--init", "--network", "--index"):
         parser.add_argument(flag)
-    parser.add_argument("--runs", type=location, default=RUNS)
-    parser.add_argument("--sessions", type=location)
+    parser.add_argument("--runs", type=local_path, default=RUNS)
+    parser.add_argument("--sessions", type=local_path)
     settings = TrainConfig.of(recipe_given())
     with contextlib.suppress(argparse.ArgumentError):  # tyro prints what is wrong
         flags, _ = parser.parse_known_args()
@@ -108,17 +106,9 @@ def defaults() -> Train:
             from model.runs.network_of_run import choice_of, is_own_network
             from model.runs.provenance import training_of
             from model.runs.run_folder import find_any_run, load_config
-            from model.runs.run_inputs import index_of, init_of, sessions_of
-            from model.runs.runs_in_store import url_of
+            from model.runs.run_inputs import init_of, local_index_of, sessions_of
 
-            if isinstance(runs, Url):
-                name = url_of(name, runs)
-            if flags.resume is not None and is_in_store(name):
-                from model.runs.stored_run import bring_run_to
-
-                run = bring_run_to(RUNS if isinstance(runs, Url) else runs, name)
-            else:
-                run = find_any_run(name, runs)
+            run = find_any_run(name, runs)
             stored = load_config(run)
             if is_own_network(stored) and flags.network is None:
                 choice_of(stored, run)  # raises RunError: a run's code runs only if the user names it
@@ -128,7 +118,7 @@ def defaults() -> Train:
             init = init_of(run, runs) if flags.resume is None else None
             return Train(
                 init=str(init) if init is not None else None,
-                index=Train.index if flags.index else index_of(run) or Train.index,
+                index=Train.index if flags.index else local_index_of(run) or Train.index,
                 sessions=flags.sessions or sessions_of(run) or Train.sessions,
                 config=settings,
             )

@@ -9,7 +9,6 @@ from typing import Annotated, ClassVar, Final, TypeAlias
 
 import tyro
 
-from common.location_flag import LocationFlag
 from common.verbs import Earlier, Verb, run_verbs
 from recorder.sources.settings import PersonDrive, SimulatedDrive
 
@@ -21,13 +20,10 @@ CarFlag: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar="udacity|built-
 class LogFlags:
     """The log."""
 
-    RARE: ClassVar[str] = "copy_to"
-    sessions: LocationFlag = Path("sessions")
-    """Folder of the logs, or a URL for copies."""
+    sessions: Path = Path("sessions")
+    """Folder of the logs."""
     force: bool = False
     """Replace a session of the same name."""
-    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Also copy the finished log to this store."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +40,7 @@ class Record:
     """
 
     RARE: ClassVar[str] = "udacity"
+    REMOVED: ClassVar[dict[str, str]] = {"--copy-to": "`bc-copy sessions s3://BUCKET/sessions` copies sessions"}
     name: Name = None
     """Name of the session, without folder or ending; by default the date and time."""
     drive: tyro.conf.OmitArgPrefixes[SimulatedDrive] = field(default_factory=SimulatedDrive)

@@ -11,7 +11,6 @@ from typing import Annotated, ClassVar
 import tyro
 
 from common.command import run_command
-from common.location_flag import LocationFlag
 from recorder.sources.settings import ImportSettings
 
 
@@ -25,7 +24,7 @@ class Import:
     bc-import drive.mcap --image /camera/image/compressed --steering /cmd_vel.angular.z --steering-scale -1
     """
 
-    RARE: ClassVar[str] = "idle viewer copy_to"
+    RARE: ClassVar[str] = "idle viewer"
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """The folder or file of the recording."""
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = None
@@ -39,12 +38,10 @@ class Import:
     """End --watch after this long without data."""
     viewer: bool = False
     """Show --watch in Rerun."""
-    sessions: LocationFlag = Path("sessions")
-    """Folder of the logs, or a URL for copies."""
+    sessions: Path = Path("sessions")
+    """Folder of the logs."""
     force: bool = False
     """Replace a session of the same name."""
-    copy_to: Annotated[LocationFlag | None, tyro.conf.arg(metavar="URL")] = None
-    """Also copy the finished log to this store."""
 
 
 def _import(config: Import) -> int:

@@ -39,9 +39,7 @@ def import_session(config: Import) -> int:
         refuse_existing(log, config.force, f"give another name, such as {shlex.quote(free)}")
         return _import_to(config, log)
 
-    return make_session(
-        name, write, sessions=config.sessions, copy_to=config.copy_to, force=config.force, prog="bc-import"
-    )
+    return make_session(config.sessions / f"{name}.mcap", write)
 
 
 def _import_to(config: Import, log: Path) -> Imported:

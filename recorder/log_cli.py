@@ -16,7 +16,7 @@ from common.output import print_result
 from recorder.log_copy_cli import CopyLogs
 from recorder.log_edit_cli import Merge, Recover, Rewrite, Split, Trim, refuse_fewer, remark_crcs
 from recorder.log_export_cli import ExportLogs
-from recorder.log_flag import LogFlag
+from recorder.log_flag import LogOrUrlFlag
 from recorder.log_list_cli import ListLogs
 from recorder.log_report import NextStep, print_checked, print_first, print_info, step_of_check, step_of_info
 from recorder.log_tag_cli import NameRows, warn_stale
@@ -26,7 +26,7 @@ from recorder.log_tag_cli import NameRows, warn_stale
 class ShowInfo:
     """Show what logs contain, their origin, and how they were steered. Reads only their ends."""
 
-    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LogOrUrlFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to describe."""
     look: bool = False
     """If the steering's lag is unknown, measure it in up to 1,500 pictures, and keep it next to the
@@ -55,7 +55,7 @@ class Check:
     """Check whole logs: CRCs, indexes, order, gaps, broken, frozen or missing pictures, stuck or contradicting
     steering, values out of range; measure the steering's lag. Exit code 3 if something is wrong."""
 
-    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[tuple[LogOrUrlFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to check."""
     look: bool = True
     """Do not decode the pictures: several times faster."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -12,12 +11,12 @@ from typing import Annotated
 import tyro
 
 from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, FAILED, print_error, warn
+from common.command import DONE, FAILED, print_error, warn
 from common.errors import UsageError, as_user_error, counted
 from common.location import Location, Url
 from common.location_flag import LocationFlag
 from common.output import print_message, print_next, print_result
-from recorder.log.logs_in_folder import logs_at, logs_in
+from recorder.log.logs_in_folder import logs_at
 from recorder.log_flag import named_log
 
 
@@ -37,11 +36,8 @@ class CopyLogs:
         logs, to = [named_log(place, takes_folders=True) for place in self.places[:-1]], self.places[-1]
         code = copy_logs(logs, to, overwrite=self.force)
         if code != FAILED:
-            index = f" --index {shlex.quote(str(to.parent / 'index'))}" if isinstance(to, Url) else ""
-            is_log = to.suffix == ".mcap"
-            print_next(
-                f"bc-{'log check' if is_log else 'index --sessions'} {shlex.quote(str(to))}{index * (not is_log)}"
-            )
+            verb = "log check" if to.suffix == ".mcap" else "index --sessions"
+            print_next(f"bc-{verb} {shlex.quote(str(to))}")
         return code
 
 
@@ -89,55 +85,6 @@ def _unreadable_or_full(log: Location, target: Location, error: OSError) -> User
     if error.filename is None and isinstance(target, Path):
         return UserError(f"{target}: {error.strerror}; the same command continues")
     return UserError(f"{error.filename or log}: {error.strerror}")
-
-
-def refuse_copying(to: Location) -> None:
-    """Raise UserError, before a recording, if logs cannot be copied to a place."""
-    if not isinstance(to, Url) or to.suffix == ".mcap":
-        raise UsageError(f"{to}: expected a folder in a store, such as s3://BUCKET/sessions")
-    logs_in(to)
-
-
-def refuse_taken_name(log: Url, overwrite: bool) -> None:
-    """Raise UserError, before a recording, if the log exists already; StoreError."""
-    from common.object_store import find_object  # an extra
-
-    if find_object(log) is not None and not overwrite:
-        raise UserError(f"{log} exists already: choose another name, or give --force to replace it")
-
-
-def copy_recording(log: Path, to: Location, overwrite: bool, *, prog: str = "bc-record") -> int:
-    """Copy a new recording. Exit code 3 if it is recorded but not copied."""
-    code = copy_logs([log], to, overwrite=overwrite, prog=prog)
-    if code == FAILED:
-        print_message(f"`bc-log copy {shlex.quote(str(log))} {shlex.quote(str(to))}` copies it later")
-    return DONE if code == DONE else DONE_BUT_SKIPPED
-
-
-@contextlib.contextmanager
-def brought_here(places: Sequence[Location]) -> Iterator[tuple[Path, ...]]:
-    """The logs as files of this machine. Logs in a store are copied, and the copies removed afterwards. Raises as
-    `copy_log`."""
-    import tempfile
-
-    from common.progress import progress_bar, progress_task
-
-    with tempfile.TemporaryDirectory(prefix="bc-logs-") as folder:
-        copies: list[Path] = []
-        for number, place in enumerate(places):
-            if isinstance(place, Path):
-                copies.append(place)
-                continue
-            from recorder.upkeep.copy_log import copy_log  # obstore, an extra
-
-            copy = Path(folder) / str(number) / place.name
-            about = f"copying {place.name}, bytes"
-            with progress_bar() as bar, progress_task(bar, about, size_of(place)) as advance:
-                done = copy_log(place, copy, on_bytes=advance)
-            if done.notice:
-                print_message(done.notice)
-            copies.append(copy)
-        yield tuple(copies)
 
 
 def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:

@@ -15,10 +15,10 @@ from common.errors import UsageError, counted
 from common.files import final_path
 from common.location import Location
 from common.output import print_message, print_next, print_result
-from recorder.log_flag import LocalLogFlag
+from recorder.log_flag import LogFlag
 from recorder.log_report import print_written
 
-LocalLog = Annotated[LocalLogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+LocalLog = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Trim:
 class Merge:
     """Join logs, in the order given, and renumber their rows."""
 
-    logs: Annotated[tuple[LocalLogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG [LOG ...]")]
     """The logs to merge."""
     to: Path
     """The new log."""

@@ -30,9 +30,9 @@ def named_log(place: Location, *, takes_folders: bool = False) -> Location:
     return logs[0] if logs else place
 
 
-LogFlag: TypeAlias = Annotated[Location, location_spec("LOG", lambda text: named_log(location(text)))]
+LogFlag: TypeAlias = Annotated[Path, location_spec("LOG", lambda text: local_path(named_log(location(text))))]
+"""A log on this machine."""
+LogOrUrlFlag: TypeAlias = Annotated[Location, location_spec("LOG", lambda text: named_log(location(text)))]
 LogOrFolderFlag: TypeAlias = Annotated[
     Location, location_spec("LOG", lambda text: named_log(location(text), takes_folders=True))
 ]
-LocalLogFlag: TypeAlias = Annotated[Path, location_spec("LOG", lambda text: local_path(named_log(location(text))))]
-"""A log on this machine."""

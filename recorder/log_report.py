@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rich.markup import escape
@@ -12,7 +13,7 @@ from rich.table import Table
 from common import Skipped
 from common.command import warn, warn_skipped
 from common.errors import counted, printable
-from common.location import Location, location
+from common.location import Location, Url, location
 from common.output import print_next, print_result, print_table
 from common.steering_unit import DEGREES, FULL_LOCK
 from recorder.log.tags import EXCLUDE, Tag, TaggedRows
@@ -139,14 +140,15 @@ def _print_drives(info: LogInfo) -> None:
 def _odd_lines(
     odd: Sequence[OddStretch], tags: Sequence[Tag], log: Location, *, is_looked: bool = False
 ) -> list[str]:
-    """The odd stretches of a log, and what to do about them; excluded ones are only counted. `is_looked`: as in
-    `odd_advice`."""
+    """The odd stretches of a log, and, on this machine, what to do about them; excluded ones are only counted.
+    `is_looked`: as in `odd_advice`."""
     from recorder.rows.odd_stretches import odd_advice, odd_lines
 
     left = TaggedRows(tags, EXCLUDE).untagged(odd)
     excluded = len(odd) - len(left)
     lines = [f"{counted(excluded, 'odd stretch is', 'odd stretches are')} excluded"] if excluded else []
-    return [*odd_lines(left), *lines, *odd_advice(left, log, is_looked=is_looked)]
+    advice = odd_advice(left, log, is_looked=is_looked) if isinstance(log, Path) else []
+    return [*odd_lines(left), *lines, *advice]
 
 
 def _in_short(value: str) -> str:
@@ -171,6 +173,8 @@ def step_of_info(info: LogInfo) -> NextStep:
     from recorder.rows.odd_stretches import exclude_command
 
     log, left = location(info.path), _left(info, info.odd)
+    if isinstance(log, Url):
+        return _go_on(info)
     if any(stretch.is_sure for stretch in left):
         return NextStep(1, exclude_command(left, log), _EXCLUDES)
     if left:
@@ -183,6 +187,8 @@ def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool)
     from recorder.rows.odd_stretches import exclude_command
 
     log = location(info.path)
+    if isinstance(log, Url):
+        return _go_on(info)
     if is_damaged:
         return NextStep(0, _command("recover", log), "it writes the sound parts to a new log")
     left = [stretch for stretch in _left(info, odd) if stretch.is_sure]
@@ -210,8 +216,10 @@ def _left(info: LogInfo, odd: Sequence[OddStretch] | None) -> list[OddStretch]:
 
 
 def _go_on(info: LogInfo) -> NextStep:
-    """The next step for a log without problems: index a session, play a drive."""
+    """The next step for a log without problems: index a session, play a drive; bring a log in a store here."""
     log = location(info.path)
+    if isinstance(log, Url):
+        return NextStep(3, f"bc-copy {shlex.quote(str(log))} sessions", "to show, tag or recover it here")
     if not any(topic.messages for topic in info.topics):
         return NextStep(4, "bc-record NAME", f"{log} is empty")
     return NextStep(3, "bc-index" if log.parent == SESSIONS else f"bc-play {shlex.quote(str(log))}")

@@ -111,9 +111,7 @@ def record_gym(config: RecordGym) -> int:
 def _make_session(name: str | None, flags: LogFlags, write: Callable[[Path], Imported]) -> int:
     name = f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}" if name is None else name
     check_name(name)
-    return make_session(
-        name, write, sessions=flags.sessions, copy_to=flags.copy_to, force=flags.force, prog="bc-record"
-    )
+    return make_session(flags.sessions / f"{name}.mcap", write)
 
 
 def _page_opener(stack: contextlib.ExitStack, log: Path, *, serves: bool, opens: bool) -> Callable[[Wheel], None]:

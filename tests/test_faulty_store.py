@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from common.location import Url
-from common.stored_folder import StoredFolder
 from dataset import IndexConfig, build_index
 from recorder import Log
 from recorder.log.logs_in_folder import logs_in
@@ -105,39 +104,12 @@ def read(store: Store) -> None:
     assert check(store.url).findings == []
 
 
-def keep(store: Store) -> None:
-    """A folder that is kept there is written, changed, and brought to another machine."""
-    with StoredFolder(store.bucket.url("run"), store.made / "one") as folder:
-        for content in ("first", "second"):
-            (folder.local / "config.json").write_text(content)
-            assert folder.upload()
-    with StoredFolder(store.bucket.url("run"), store.made / "two") as folder:
-        folder.download()
-        assert (folder.local / "config.json").read_text() == "second"
-
-
-def add(store: Store) -> None:
-    """Two machines add lines to the same file there."""
-    folders = [store.made / name for name in ("one", "two")]
-    for number in range(2):
-        for machine in folders:
-            with StoredFolder(store.bucket.url("run"), machine, line_files=["results"]) as folder:
-                with (machine / "results").open("a") as stream:
-                    stream.write(f"{number} of {machine.name}\n")
-                assert folder.upload()
-    added = ["0 of one", "0 of two", "1 of one", "1 of two"]
-    assert (folders[1] / "results").read_text().splitlines() == added
-    assert (store.bucket.folder / "run/results").read_text().splitlines() == added
-
-
 REQUESTS: dict[Callable[[Store], None], int] = {
-    upload: 11,
-    upload_in_parts: 13,
+    upload: 8,
+    upload_in_parts: 10,
     download: 6,
     index: 7,
-    read: 13,
-    keep: 10,
-    add: 24,
+    read: 12,
 }
 """What is done with a store, and how many requests that is."""
 
@@ -146,8 +118,6 @@ FAULTS_OF = {
     upload_in_parts: ("lost",),
     download: ("cut", "truncated"),
     index: ("cut", "truncated"),
-    keep: ("lost", "truncated"),
-    add: ("lost",),
 }
 
 

@@ -35,7 +35,7 @@ from common.ray_cluster import (
 from common.tasks import Tasks, one_by_one
 from dataset import build_index
 from drive.config import DriveConfig
-from drive.evaluation.closed_loop import LogFolder, drive_runs
+from drive.evaluation.closed_loop import drive_runs
 from drive.evaluation.simulator_process import BuiltInSimulator
 from recorder.upkeep.check import check
 from tests.helpers.bucket import serving_bucket
@@ -168,9 +168,9 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Pa
     run = untrained_run(tmp_path / "runs" / "untrained")
     lake = BuiltInSimulator("lake", laps=0.002)
     drives = [(lake, DriveConfig(set_speed_mph=speed)) for speed in (8, 12)]
-    local = dict(drive_runs([(run, LogFolder(tmp_path / "here"))], drives, one_by_one))
+    local = dict(drive_runs([(run, tmp_path / "here")], drives, one_by_one))
     with tasks_whose_node_dies(tmp_path) as tasks:
-        remote = dict(drive_runs([(run, LogFolder(tmp_path / "there"))], drives, tasks))
+        remote = dict(drive_runs([(run, tmp_path / "there")], drives, tasks))
     assert sorted(remote) == [0, 1]
     for number, driven in remote.items():
         assert driven.report["trajectory_sha256"] == local[number].report["trajectory_sha256"]

@@ -205,7 +205,7 @@ def test_no_room_imports_tests_benchmarks_or_studies() -> None:
             "recorder, simulator",
             ["rerun", "socketio", "eventlet", "torch", "gymnasium", "starlette", "obstore"],
         ),
-        ("viz, viz.cli, model.runs.runs_in_store", ["socketio", "eventlet", "torch", "websocket"]),
+        ("viz, viz.cli", ["socketio", "eventlet", "torch", "websocket"]),
         ("model.runs_cli, model.runs.run_summary", ["cv2", "pyarrow", "torch"]),
     ],
 )

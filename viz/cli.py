@@ -6,7 +6,6 @@ import contextlib
 import os
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,6 @@ from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, flags_given, run_command, usage_errors, warn, warn_skipped
 from common.errors import UsageError, counted
 from common.files import refuse_existing
-from common.location import Url
 from common.output import print_message, print_next, print_result
 from common.versions import package_line
 from viz.config import Play, check_files, check_video_flags, check_viewer_flags
@@ -26,12 +24,6 @@ if TYPE_CHECKING:
 
 
 def play(config: Play) -> int:
-    if any(isinstance(place, Url) for place in config.places) and not config.follow:
-        from recorder.log_copy_cli import brought_here
-
-        (check_video_flags if config.video is not None else check_viewer_flags)(config)
-        with brought_here(config.places) as logs:
-            return play(replace(config, places=logs))
     check_files(config)
     if config.video is not None:
         check_video_flags(config)

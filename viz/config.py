@@ -14,8 +14,6 @@ import tyro
 from common import UserError
 from common.command import check_port, flags_given
 from common.errors import UsageError
-from common.location import local_path
-from common.location_flag import LocationFlag
 from common.untrusted import real_path
 from recorder.log_flag import LogFlag
 
@@ -27,7 +25,7 @@ class Play:
     Without a display, the viewer is served to browsers on this machine.
     """
 
-    places: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The log to show, by name or path, or several to compare."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: at its start)")] = (
         None
@@ -61,15 +59,10 @@ class Play:
     """Show where these networks look (VisualBackProp)."""
     write: Path | None = None
     """Write the predictions to a new log; open nothing."""
-    runs: LocationFlag = Path("runs")
+    runs: Path = Path("runs")
     """The runs."""
     force: bool = False
     """Replace the file of --save, --video or --write."""
-
-    @property
-    def logs(self) -> tuple[Path, ...]:
-        """The logs. Raises UserError for a log that is not on this machine."""
-        return tuple(map(local_path, self.places))
 
     @property
     def log(self) -> Path:
@@ -87,7 +80,7 @@ def check_files(config: Play) -> None:
 
 def check_video_flags(config: Play) -> None:
     """Raise UsageError for flags that contradict --video."""
-    if len(config.places) != 1:
+    if len(config.logs) != 1:
         raise UsageError("--video shows one log: give one")
     others = ("save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at")
     if flags := flags_given(config, *others):
@@ -100,11 +93,11 @@ def check_viewer_flags(config: Play) -> None:
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
         raise UsageError(f"{flags}: only for a video: give --video FILE.mp4 as well")
-    if not config.places:
+    if not config.logs:
         raise UsageError("no log is given: bc-play LOG, or bc-play LOG LOG to compare")
-    if len(config.places) > 1 and (flags := flags_given(config, "follow", "run")):
+    if len(config.logs) > 1 and (flags := flags_given(config, "follow", "run")):
         raise UsageError(f"{flags}: only with one log")
-    if len(config.places) == 1 and config.by != "time":
+    if len(config.logs) == 1 and config.by != "time":
         raise UsageError("--by place compares several logs: give more than one")
     if config.connect is not None and (config.web or config.save is not None):
         raise UsageError("--connect uses an open viewer: give it without --web, --save")

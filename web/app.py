@@ -44,15 +44,8 @@ _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
 def workbench_app(
     folders: ProjectFolders, host: str, token: str, cache: Path, *, once: str = ""
 ) -> Iterator[ASGIApp]:
-    """The app, until the context is left; `token` and `once` as in `RequestGuard`. Raises UserError if a folder is
-    in a store and the package that reads stores is not installed."""
-    with contextlib.ExitStack() as stack:
-        if folders.are_in_stores:
-            from common.store_connection import hurried  # an extra
-
-            stack.enter_context(hurried())
-        bench = Workbench(folders, cache)
-        stack.callback(bench.close)
+    """The app, until the context is left; `token` and `once` as in `RequestGuard`."""
+    with contextlib.closing(Workbench(folders, cache)) as bench:
         app = Starlette(routes=routes_of(bench), exception_handlers=HANDLERS)
         compressed = GZipMiddleware(app, compresslevel=5, exclude_content_types=_NOT_COMPRESSED)
         yield TrimmedApp(RequestGuard(compressed, host, token, once))

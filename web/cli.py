@@ -10,8 +10,7 @@ from common import UserError
 from common.command import DONE, check_port, run_command
 from common.errors import UsageError, counted, printable
 from common.interrupts import stop_signals
-from common.location import Location, Url, shown_address
-from common.location_flag import LocationFlag
+from common.location import shown_address
 from common.output import print_message, print_result
 from recorder.server.allowed_hosts import is_loopback
 
@@ -31,13 +30,13 @@ class Web:
     """Open the browser."""
     token: bool = True
     """Ask for no token: every user of this machine can open it."""
-    sessions: LocationFlag = Path("sessions")
+    sessions: Path = Path("sessions")
     """The sessions."""
-    index: LocationFlag = Path("index")
+    index: Path = Path("index")
     """The index."""
-    runs: LocationFlag = Path("runs")
+    runs: Path = Path("runs")
     """The runs."""
-    drives: LocationFlag = Path("drives")
+    drives: Path = Path("drives")
     """The drives."""
 
 
@@ -79,12 +78,9 @@ def serve(config: Web, page: str = "") -> int:
 
 
 def _check_folders(config: Web) -> None:
-    """Raise UserError for a file instead of a folder. Print which named folders do not exist yet. The pages report
-    on folders in stores."""
+    """Raise UserError for a file instead of a folder. Print which named folders do not exist yet."""
     for name in ("sessions", "index", "runs", "drives"):
-        folder: Location = getattr(config, name)
-        if isinstance(folder, Url):
-            continue
+        folder: Path = getattr(config, name)
         if folder.exists() and not folder.is_dir():
             raise UserError(f"--{name} {folder}: expected a folder, but it is a file")
         if not folder.exists() and folder != getattr(Web, name):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import socket
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from common import UserError
 from common.command import INTERRUPTED, run_command
-from common.location_flag import LocationFlag
 from common.process_settings import end_with_parent
 from web.cli import Web, serve
 
@@ -24,11 +24,11 @@ class WheelPage:
     """The wheel's key."""
     open: bool = False
     """Open the page in a browser."""
-    sessions: LocationFlag = Web.sessions
+    sessions: Path = Web.sessions
     """Where sessions are kept."""
-    runs: LocationFlag = Web.runs
+    runs: Path = Web.runs
     """Where runs are kept."""
-    drives: LocationFlag = Web.drives
+    drives: Path = Web.drives
     """Where drives are kept."""
 
 

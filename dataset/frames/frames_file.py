@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from common.errors import UserError
 from common.files import session_name
-from common.location import Location, Url, location, relative_to
+from common.location import Location, location, relative_to
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError
 from dataset.frames.image_check_cache import read_image_check
@@ -87,13 +87,11 @@ def file_if_rewritten(fingerprint: str, file: str) -> dict[str, str]:
     return {} if file == fingerprint else {"file": file}
 
 
-def log_place(name: str, index: Location) -> Location:
+def log_place(name: str, index: Path) -> Location:
     """The place of a log, from its name in an index. Raises DatasetError for an invalid name."""
     try:
-        if "://" in name:
-            return location(name)
-        return index.joined(name) if isinstance(index, Url) else index / name
-    except (UserError, ValueError) as error:
+        return location(name) if "://" in name else index / name
+    except UserError as error:
         raise DatasetError(
             f"{index}: the index has an invalid name of a log ({error}); run `bc-index` again"
         ) from None

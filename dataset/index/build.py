@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from common.car import MAX_STEERING_DEG
 from common.errors import counted, first_of
 from common.files import session_name
-from common.location import Location, location, relative_to
+from common.location import Location, local_path, location, relative_to
 from common.progress import track
 from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
@@ -108,7 +108,7 @@ def build_index(
     name or share pictures (except of a standing start), or if a file cannot be written. Also raises the errors of
     `check_settings`.
     """
-    index, config = Path(index), config or IndexConfig()
+    index, config = local_path(index), config or IndexConfig()
     by_name = dict(sorted(by_session_name(map(location, logs)).items()))
     check_settings(list(by_name.values()), index, config)
     build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks)

@@ -76,16 +76,6 @@ class Stats:
         return self._listed[place.parent].get(place)
 
 
-def sources_of(
-    session: str, log: Location, index: Path, stat: Callable[[Location], Stat] | None = None
-) -> Sources:
-    """The state of the files on which a session's frames depend: the log, its tags, and the check of its
-    pictures."""
-    stat = stat or stat_of
-    path = os.path.realpath(log) if isinstance(log, Path) else str(log)
-    return path, stat(log), stat(tags_path(log)), stat_of(image_check_path(index, session))
-
-
 def stat_of(path: Location) -> Stat:
     if isinstance(path, Url):
         from common.object_store import find_object  # an extra
@@ -97,6 +87,13 @@ def stat_of(path: Location) -> Stat:
     except OSError:
         return None
     return status.st_size, status.st_mtime_ns
+
+
+def sources_of(session: str, log: Location, index: Path, stat: Callable[[Location], Stat] = stat_of) -> Sources:
+    """The state of the files on which a session's frames depend: the log, its tags, and the check of its
+    pictures."""
+    path = os.path.realpath(log) if isinstance(log, Path) else str(log)
+    return path, stat(log), stat(tags_path(log)), stat_of(image_check_path(index, session))
 
 
 def read_state(index: Path) -> BuildState:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from common.errors import did_you_mean, printable
@@ -12,7 +12,7 @@ from common.files import final_path, session_name
 from common.location import Location, Url, absolute, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
-from dataset.index.build_state import Stat, Stats, read_state, sources_of
+from dataset.index.build_state import read_state, sources_of
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from recorder import Log, LogError
@@ -116,18 +116,18 @@ def sessions_beside(logs: Sequence[Location], folder: Location) -> list[str]:
     return [name for log in finished_logs(folder) if (name := session_name(log)) not in chosen]
 
 
-def sessions_not_indexed(index: Path | str, folder: Location | str) -> list[str]:
+def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
     """The names of the logs in `folder` that are newer than the index or have changed since it was built.
 
     Without logs that the user left out, and without unreadable logs: `bc-index` has reported these. If all logs of
     the index are in other folders, the list is empty.
     """
-    if not _is_of_logs_in(Path(index), location(folder)):
+    if not _is_of_logs_in(Path(index), Path(folder)):
         return []
-    return logs_not_indexed(Path(index), finished_logs(location(folder)), Stats())
+    return logs_not_indexed(Path(index), finished_logs(Path(folder)))
 
 
-def _is_of_logs_in(index: Path, folder: Location) -> bool:
+def _is_of_logs_in(index: Path, folder: Path) -> bool:
     """True if any log of the index is in `folder`."""
     indexed = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
     sources = indexed.values() if isinstance(indexed, dict) else ()
@@ -138,8 +138,8 @@ def _is_of_logs_in(index: Path, folder: Location) -> bool:
     return False
 
 
-def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Location], Stat]) -> list[str]:
-    """The same as `sessions_not_indexed`, for these logs; `stat` returns the state of a file."""
+def logs_not_indexed(index: Path, logs: Sequence[Location]) -> list[str]:
+    """The same as `sessions_not_indexed`, for these logs."""
     indexed = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
     if not isinstance(indexed, dict):
         return []
@@ -148,7 +148,7 @@ def logs_not_indexed(index: Path, logs: Sequence[Location], stat: Callable[[Loca
     for log in logs:
         name = session_name(log)
         entry = state.logs.get(name)
-        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index, stat))
+        is_reported = name in state.passed_over or (entry and entry.sources == sources_of(name, log, index))
         if name not in indexed and not is_reported:
             missing.append(name)
     return missing

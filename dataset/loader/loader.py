@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -24,7 +25,6 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
-from common.location import Location
 from dataset.alterations import EpochAlterations
 from dataset.config import EpochAlteration
 from dataset.loader.crops import Crops, Failed, Fill, decoding_threads, prefetched
@@ -181,7 +181,7 @@ class Loader(Closeable):
 
 
 def load(
-    index: Location | str,
+    index: Path | str,
     split: Split = "train",
     *,
     batch: int = 256,

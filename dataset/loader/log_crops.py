@@ -6,6 +6,7 @@ For viewing a whole log, which need not be in an index.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,6 @@ from common import Skipped
 from common.closeable import Closeable
 from common.errors import printable
 from common.files import session_name
-from common.location import Location, location
 from dataset.errors import DatasetError
 from dataset.frames.frames_table import driven_states
 from dataset.frames.pairing import paired_rows
@@ -34,9 +34,9 @@ class LogCrops(Closeable):
     """The pictures of a finished or unfinished log, numbered from 0 in the order of writing; arrays (N,). Use it
     as a context manager, or call `close()`."""
 
-    def __init__(self, path: Location | str) -> None:
+    def __init__(self, path: Path | str) -> None:
         """Raises LogError if the log is damaged, DatasetError if it has no picture of the centre camera."""
-        path = location(path)
+        path = Path(path)
         self.session = printable(session_name(path))  # a file name may have invalid characters
         self.skipped = Skipped()  # each picture once
         self._undecoded: set[int] = set()

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.closeable import Closeable
-from common.location import Location, absolute, location
+from common.location import local_path
+from common.untrusted import real_path
 from dataset.loader.crops import Crops
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
@@ -36,13 +38,13 @@ class SamplesDataset(Closeable):
 
     def __init__(
         self,
-        index: Location | str,
+        index: Path | str,
         split: Split = "train",
         seen: PictureSpec = ORIGINAL,
         targets: Sequence[TargetName] = STEERING_ONLY,
     ) -> None:
         """Raises DatasetError if the index is missing, is damaged, or does not fit its logs."""
-        self._index = absolute(location(index))  # a worker may have another working folder
+        self._index = real_path(local_path(index))  # a worker may have another working folder
         self._spec = seen
         samples = Samples(self._index)
         self._logs = samples.logs

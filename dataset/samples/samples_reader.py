@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from common.car import MAX_STEERING_DEG
 from common.closeable import Closeable
 from common.files import short_path
-from common.location import Location, Url, location
+from common.location import Location, Url, local_path
 from common.process_settings import allow_open_files
-from common.random_access import read_bytes
 from common.stored_settings import settings_from
 from common.tasks import in_threads, one_by_one
 from dataset.config import IndexConfig
@@ -45,8 +44,6 @@ FINGERPRINTED: Final = (*LOADED, "camera", "copy", "recorded")
 _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offset", "chunk")))
 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # few distinct words: read as dictionaries
-
-_MAX_BYTES: Final = 1 << 34
 
 _UNREADABLE: Final = (
     OSError,
@@ -72,12 +69,11 @@ class Samples(Closeable):
     Raises DatasetError if the index is missing or damaged, or if a log has changed since it was indexed.
     """
 
-    def __init__(self, index: Location | str) -> None:
-        index = location(index)
+    def __init__(self, index: Path | str) -> None:
+        index = local_path(index)
         self.path = index / SAMPLES_NAME
-        self._file = self.path if isinstance(self.path, Path) else _fetched(self.path)
         try:
-            self.metadata: dict[str, Any] = json.loads(read_schema(self._source()).metadata[METADATA_KEY])
+            self.metadata: dict[str, Any] = json.loads(read_schema(self.path).metadata[METADATA_KEY])
             self.sources = {
                 str(session): IndexedLog(
                     str(source["log"]), str(source["fingerprint"]), str(source.get("file", source["fingerprint"]))
@@ -100,13 +96,10 @@ class Samples(Closeable):
         for log in self.logs.values():
             log.close()
 
-    def _source(self) -> Path | pa.BufferReader:
-        return self._file if isinstance(self._file, Path) else pa.BufferReader(self._file)
-
     @cached_property
     def _columns(self) -> list[str]:
         with self._readable():
-            return list(read_schema(self._source()).names)
+            return list(read_schema(self.path).names)
 
     @cached_property
     def table(self) -> pa.Table:
@@ -249,7 +242,7 @@ class Samples(Closeable):
         """
         words = _WORDS if columns else ()
         with pq.ParquetFile(
-            self._source(),
+            self.path,
             read_dictionary=words,
             page_checksum_verification=True,
             thrift_string_size_limit=MAX_METADATA_BYTES,
@@ -272,15 +265,7 @@ class Samples(Closeable):
         return DatasetError(f"{self.path}: damaged ({why}); remove it and run `bc-index`")
 
 
-def _fetched(url: Url) -> bytes:
-    """Download all of samples.parquet from a store: it is small, compared with the pictures."""
-    data = read_bytes(url, _MAX_BYTES)
-    if data is None:
-        raise missing_index(url.parent)
-    return data
-
-
-def open_logs(index: Location, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
+def open_logs(index: Path, sources: Mapping[str, IndexedLog]) -> dict[str, Log]:
     """Open the logs of an index, by session.
 
     Raises DatasetError if a log is missing or has changed since it was indexed, and closes the others.

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from common import UserError
 from common.files import refuse_existing
-from common.location import Location, Url
 from common.tasks import Tasks
 from drive.config import DriveConfig
 from drive.errors import DriveError
@@ -20,45 +17,9 @@ from model import Pilot, load_pilot
 from model.config import Device, Precision
 from model.network.own_code import load_code
 from model.runs.run_folder import run_name
-from recorder.log_copy_cli import refuse_taken_name
 
 DRIVES: Final = Path("drives")
 """The default folder of the drives' logs."""
-
-
-@dataclass(frozen=True)
-class LogFolder:
-    """The folder of the drives' logs, and the folder in a store to which finished logs are copied, if any."""
-
-    local: Path
-    store: Url | None = None
-
-    @classmethod
-    def of(cls, place: Location) -> LogFolder:
-        return cls(place) if isinstance(place, Path) else cls(DRIVES, place)
-
-    def __truediv__(self, name: str) -> LogFolder:
-        return LogFolder(self.local / name, None if self.store is None else self.store / name)
-
-    def refuse_existing(self, name: str, overwrite: bool) -> None:
-        """Raise UserError if the log exists and may not be overwritten; StoreError if the store fails."""
-        refuse_existing(self.local / name, overwrite, "give --drives FOLDER for another place")
-        if self.store is not None:
-            refuse_taken_name(self.store / name, overwrite)
-
-    def copy(self, name: str, overwrite: bool) -> tuple[Location, str]:
-        """Copy a finished log to the store, if any. Returns its place, and the reason if the copy failed, else an
-        empty string."""
-        log = self.local / name
-        if self.store is None:
-            return log, ""
-        from recorder.upkeep.copy_log import copy_log  # obstore, an extra
-
-        try:
-            return copy_log(log, self.store / name, overwrite=overwrite).place, ""
-        except (UserError, OSError) as error:
-            copies = shlex.join(("bc-log", "copy", str(log), str(self.store)))
-            return log, f"{log}: is not in {self.store} ({error}); `{copies}` copies it"
 
 
 PlannedDrive = tuple[BuiltInSimulator, DriveConfig]
@@ -70,9 +31,8 @@ class DriveResult:
 
     simulator: BuiltInSimulator
     config: DriveConfig
-    log: Location
+    log: Path
     report: dict[str, Any]
-    problem: str = ""  # the reason if its log could not be copied to the store
 
     def as_dict(self) -> dict[str, Any]:
         return {"set_speed_mph": self.config.set_speed_mph, "log": str(self.log), **self.report}
@@ -81,29 +41,26 @@ class DriveResult:
 def evaluate(
     pilot: Pilot,
     drives: Sequence[PlannedDrive],
-    logs: Location | LogFolder,
+    logs: Path,
     *,
     overwrite: bool = False,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Iterator[DriveResult]:
-    """Drive each simulator in lock-step, log the drives, and yield each result when it is finished. With `logs` in
-    a store, a drive is logged in drives/ and copied when it is finished.
+    """Drive each simulator in lock-step, log the drives, and yield each result when it is finished.
 
     `notify` gets a line before each drive. Raises DriveError if the simulator fails, UserError if a log exists and
     may not be overwritten.
     """
-    folder = logs if isinstance(logs, LogFolder) else LogFolder.of(logs)
-    names = _log_names(pilot.run, drives, folder, overwrite=overwrite)
-    for (simulator, config), name in zip(drives, names, strict=True):
+    paths = _log_paths(pilot.run, drives, logs, overwrite=overwrite)
+    for (simulator, config), path in zip(drives, paths, strict=True):
         laps = f"{simulator.laps:g} lap{'' if simulator.laps == 1 else 's'}"
         notify(f"{pilot.run} on {simulator.track} at {config.set_speed_mph:g} mph, {laps}")
-        report = drive_and_log(pilot, simulator, config, folder.local / name, overwrite=overwrite)
-        place, problem = folder.copy(name, overwrite)
-        yield DriveResult(simulator, config, place, report, problem)
+        report = drive_and_log(pilot, simulator, config, path, overwrite=overwrite)
+        yield DriveResult(simulator, config, path, report)
 
 
 def drive_runs(
-    runs: Sequence[tuple[Path, LogFolder]],
+    runs: Sequence[tuple[Path, Path]],
     drives: Sequence[PlannedDrive],
     tasks: Tasks,
     *,
@@ -120,10 +77,10 @@ def drive_runs(
     a bar on the terminal. Raises what `evaluate` raises.
     """
     calls = [
-        (run, tuple(networks), precision, device, simulator, config, logs, name, overwrite, shows_progress)
+        (run, tuple(networks), precision, device, simulator, config, path, shows_progress)
         for run, logs in runs
-        for (simulator, config), name in zip(
-            drives, _log_names(run_name(run), drives, logs, overwrite=overwrite), strict=True
+        for (simulator, config), path in zip(
+            drives, _log_paths(run_name(run), drives, logs, overwrite=overwrite), strict=True
         )
     ]
     yield from tasks(_drive_run, calls)
@@ -136,18 +93,13 @@ def _drive_run(
     device: Device,
     simulator: BuiltInSimulator,
     config: DriveConfig,
-    logs: LogFolder,
-    name: str,
-    overwrite: bool,
+    path: Path,
     shows_progress: bool,
 ) -> DriveResult:
     pilot = _warm_pilot(run, networks, precision, device)
-    # `_log_names` has checked for existing logs; a drive that the cluster repeats replaces its own first log
-    report = drive_and_log(
-        pilot, simulator, config, logs.local / name, overwrite=True, shows_progress=shows_progress
-    )
-    place, problem = logs.copy(name, overwrite)
-    return DriveResult(simulator, config, place, report, problem)
+    # `_log_paths` has checked for existing logs; a drive that the cluster repeats replaces its own first log
+    report = drive_and_log(pilot, simulator, config, path, overwrite=True, shows_progress=shows_progress)
+    return DriveResult(simulator, config, path, report)
 
 
 @lru_cache(maxsize=1)
@@ -160,14 +112,14 @@ def _warm_pilot(run: Path, networks: tuple[str, ...], precision: Precision, devi
     return pilot
 
 
-def _log_names(run: str, drives: Sequence[PlannedDrive], logs: LogFolder, *, overwrite: bool) -> list[str]:
-    """The names of the drives' logs. Raises, before the first drive, what a later drive would raise."""
-    names = [
-        f"{run}-{simulator.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
+def _log_paths(run: str, drives: Sequence[PlannedDrive], logs: Path, *, overwrite: bool) -> list[Path]:
+    """The paths of the drives' logs. Raises, before the first drive, what a later drive would raise."""
+    paths = [
+        logs / f"{run}-{simulator.track.replace(':', '-')}-{config.set_speed_mph:g}mph.mcap"
         for simulator, config in drives
     ]
-    for name in names:
-        logs.refuse_existing(name, overwrite)
-    if len(set(names)) < len(names):
+    for path in paths:
+        refuse_existing(path, overwrite, "give --drives FOLDER for another place")
+    if len(set(paths)) < len(paths):
         raise DriveError("the same track at the same speed is named twice")
-    return names
+    return paths

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.autonomy import INTERVENTION_COST_S
-from common.location import Location
 from drive.control.course_events import PUT_BACK
 from drive.evaluation.closed_loop import DriveResult
 from model.evaluation.block_bootstrap import Floats
@@ -116,7 +116,7 @@ def _sums_of_stretches(drive: DriveResult) -> Floats:
     return sums
 
 
-def _course(path: Location, track: Track) -> tuple[NDArray[np.int64], Floats, Floats]:
+def _course(path: Path, track: Track) -> tuple[NDArray[np.int64], Floats, Floats]:
     """For each pose of the log: log time in ns, arc length along the road in m, and the distance from the centre
     line as a share of the road's half width."""
     with Log(path) as log:

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 from common import UserError
 from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, usage_errors, warn, warn_skipped
 from common.errors import counted
-from common.location import Location, absolute
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar, track
 from common.ray_flag import tasks_of
 from common.tasks import in_processes, one_by_one
+from common.untrusted import real_path
 from drive.evaluation.eval_flags import Eval, refuse_contradictions
 
 if TYPE_CHECKING:
-    from drive.evaluation.closed_loop import DriveResult, LogFolder, PlannedDrive
+    from drive.evaluation.closed_loop import DriveResult, PlannedDrive
     from model.evaluation.differences import Verdict
     from model.evaluation.evaluate import Evaluation
 
@@ -85,9 +85,9 @@ def _print_measured_on(measured_on: dict[str, str | None]) -> None:
         print_result(f"measured on the {frames} of {measured_on['index']}")
 
 
-def _index_of(run: Path) -> Location:
+def _index_of(run: Path) -> Path:
     """The index that the run was trained on; if the run does not name it, index/ in the current folder."""
-    from model.runs.run_inputs import index_of
+    from model.runs.run_inputs import index_of, local_index_of
 
     index = index_of(run)
     if index is None:
@@ -97,7 +97,7 @@ def _index_of(run: Path) -> Location:
             f"{index}: the index that {run} was trained on is missing; give --index INDEX, or measure"
             " whole sessions: --session NAME"
         )
-    return index
+    return local_index_of(run) or Path("index")
 
 
 def _print_notices(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:
@@ -131,7 +131,7 @@ def _compare(config: Eval, runs: tuple[str, str]) -> int:
 
     a, b = _find_runs(config, *runs)
     names = run_name(a), run_name(b)
-    if absolute(a) == absolute(b):
+    if real_path(a) == real_path(b):
         warn(f"{names[0]}: A and B are the same run, which is never worse than itself; give another run as B")
     compare = _compare_on_frames if config.simulator is None else _compare_by_driving
     verdict, code = compare(config, a, b, names)
@@ -165,14 +165,13 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
 
 
 def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
-    from drive.evaluation.closed_loop import DRIVES, LogFolder
+    from drive.evaluation.closed_loop import DRIVES
     from drive.evaluation.compare_report import print_drive_comparison
     from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
 
     drives = _drives(config)
-    logs = LogFolder.of(config.drives or DRIVES)
+    logs = config.drives or DRIVES
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
-    code = max(DONE, *(_warn_problem(result) for result in results.values()))
     drives_a, drives_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
     tolerance = TOLERANCE if config.tolerance is None else config.tolerance
     comparison = DriveComparison(*names, drives_a, drives_b, tolerance)
@@ -181,11 +180,11 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
     else:
         print_drive_comparison(comparison, names)
         print_next(f"bc-play {shlex.join(str(drives[0].log) for drives in (drives_a, drives_b))} --by place")
-    return comparison.verdict, code
+    return comparison.verdict, DONE
 
 
 def _drive(config: Eval) -> int:
-    from drive.evaluation.closed_loop import DRIVES, LogFolder
+    from drive.evaluation.closed_loop import DRIVES
     from drive.evaluation.eval_report import print_drives
     from drive.kept_drive import keep
 
@@ -194,9 +193,9 @@ def _drive(config: Eval) -> int:
     codes = [DONE]
     try:
         (run,) = _find_runs(config, config.run)
-        for number, result in _driven(config, [(run, LogFolder.of(config.drives or DRIVES))], drives):
+        for number, result in _driven(config, [(run, config.drives or DRIVES)], drives):
             results[number] = result
-            codes += [keep(run, "simulator", result.as_dict()), _warn_problem(result)]
+            codes.append(keep(run, "simulator", result.as_dict()))
             if config.json:
                 print_result(json.dumps(result.as_dict()))
     finally:  # show the measured drives even if an error or Ctrl-C stops the others
@@ -227,10 +226,6 @@ def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None
         warn(str(error))
 
 
-def _warn_problem(result: DriveResult) -> int:
-    return warn(result.problem) if result.problem else DONE
-
-
 def _drives(config: Eval) -> list[PlannedDrive]:
     from drive.config import DriveConfig
     from drive.errors import DriveError
@@ -244,7 +239,7 @@ def _drives(config: Eval) -> list[PlannedDrive]:
 
 
 def _driven(
-    config: Eval, runs: Sequence[tuple[Path, LogFolder]], drives: Sequence[PlannedDrive]
+    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
     """Make the drives of runs, each given with the folder of its logs. Yields number and result when finished."""
     from drive.driven_car import other_steering

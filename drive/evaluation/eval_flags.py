@@ -10,7 +10,6 @@ import tyro
 
 from common.command import flags_given
 from common.errors import UsageError
-from common.location_flag import LocationFlag
 from common.ray_flag import RayAddress
 
 
@@ -40,13 +39,13 @@ class Eval:
     """With --compare: exit code 1 if B is worse."""
     tolerance: Annotated[float | None, _default("SHARE", "0, and 0.02 with --simulator")] = None
     """How much worse B may be, as a share."""
-    index: Annotated[LocationFlag | None, _default("PATH|URL", "the run's index")] = None
+    index: Annotated[Path | None, _default("PATH", "the run's index")] = None
     """The index to measure on."""
     split: Annotated[Literal["validation", "train"] | None, _default("{validation,train}", "validation")] = None
     """Frames held out, or training's balanced ones."""
     session: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="SESSION [SESSION ...]")] = None
     """Measure on these whole sessions, without an index."""
-    sessions: Annotated[LocationFlag | None, _default("PATH|URL", "sessions")] = None
+    sessions: Annotated[Path | None, _default("PATH", "sessions")] = None
     """The logs, for --session and foreign indexes."""
     bins: bool = False
     """Also show the errors in each steering bin."""
@@ -64,13 +63,13 @@ class Eval:
         Literal["auto", "float32", "bfloat16"] | None, _default("{auto,float32,bfloat16}", "auto")
     ] = None
     """Arithmetic; auto: the fastest."""
-    drives: Annotated[LocationFlag | None, _default("PATH|URL", "drives")] = None
-    """Folder of the drives' logs; if it is a URL, finished logs are copied there."""
+    drives: Annotated[Path | None, _default("PATH", "drives")] = None
+    """Folder of the drives' logs."""
     force: bool = False
     """Replace existing logs."""
     ray: RayAddress = None
     """Drive on a Ray cluster with shared folders."""
-    runs: LocationFlag = Path("runs")
+    runs: Path = Path("runs")
     """The runs."""
     json: bool = False
     """Print JSON: one object, or one a drive."""

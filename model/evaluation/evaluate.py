@@ -159,7 +159,7 @@ def target_columns(target: TargetName) -> tuple[str, str]:
     return f"predicted_{name}", f"recorded_{name}"
 
 
-def evaluate(run: Path | str, index: Location | str, split: Split = "validation") -> Evaluation:
+def evaluate(run: Path | str, index: Path | str, split: Split = "validation") -> Evaluation:
     """Measure a run on a split of `index`: its answers to the centre camera's unaltered pictures, against the
     recorded steering.
 
@@ -170,9 +170,7 @@ def evaluate(run: Path | str, index: Location | str, split: Split = "validation"
     return evaluation
 
 
-def evaluate_runs(
-    runs: Sequence[Path | str], index: Location | str, split: Split = "validation"
-) -> list[Evaluation]:
+def evaluate_runs(runs: Sequence[Path | str], index: Path | str, split: Split = "validation") -> list[Evaluation]:
     """`evaluate` for several runs at once, on the same frames. Each picture is decoded once."""
     with Samples(index) as samples:
         view = samples.driving_view(split)

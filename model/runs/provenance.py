@@ -11,8 +11,6 @@ import cv2
 import msgspec
 import torch
 
-from common.location import location
-from common.store_record import cached_from
 from common.stored_settings import settings_from
 from common.versions import TOOLKIT, version_of
 from dataset import Samples
@@ -72,7 +70,7 @@ def init_provenance(init: Path, run: Path) -> dict[str, Any]:
     data = earlier.get("data") if isinstance(earlier, dict) else None
     return {
         "run": run_name(init),
-        "place": relative_place(run, location(cached_from(init) or init)),
+        "place": relative_place(run, init),
         "weights_sha256": weights_checksum(init),
         "data": [before.get("data"), *(data if isinstance(data, list) else [])],
     }

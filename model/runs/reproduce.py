@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 
 from common.errors import UsageError, first_of
-from common.location import Location, absolute, local_path
-from common.random_access import file_exists
+from common.location import Location, absolute
 from common.stored_settings import settings_from
+from common.untrusted import real_path
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.frames.frames_file import check_where
 from dataset.index.sessions import changed_logs, find_unchanged_log
@@ -24,8 +24,8 @@ from model.runs.run_inputs import index_of, logs_of
 
 
 def index_of_run(
-    run: Path, index: Location, sessions: Location, on_notice: Callable[[str], object] = lambda notice: None
-) -> Location:
+    run: Path, index: Path, sessions: Path, on_notice: Callable[[str], object] = lambda notice: None
+) -> Path:
     """An index of the samples that `run` was trained on: `index` itself, or one that is built from the run's
     settings and logs: next to `index`, or in the current folder if the run itself names `index`. The logs are in
     `sessions`, or where they were during training.
@@ -34,26 +34,26 @@ def index_of_run(
     DatasetError if a log is missing; LogError if a log cannot be read.
     """
     stored = load_config(run)
-    index, recorded = absolute(index), index_of(run)
+    index, recorded = real_path(index), index_of(run)
     own = index.with_name(f"{index.name}-{run_name(run)}")
     places = [index, own]
     if recorded is not None and index == absolute(recorded):
         # a run from elsewhere may name any folder: nothing is written there
-        own = absolute(Path(own.name))
-        places = [index, own, absolute(Path("index"))]
+        own = real_path(Path(own.name))
+        places = [index, own, real_path(Path("index"))]
     for place in places:
         if _is_of(place, stored, run):
             return place
     settings, fingerprints = _data_of(stored, run)
     before = logs_of(run)
     logs = [
-        str(before[name]) if name in before and not file_exists(sessions / f"{name}.mcap") else name
+        str(before[name]) if name in before and not (sessions / f"{name}.mcap").is_file() else name
         for name in fingerprints
     ]
     found = find_logs(logs, sessions)
     if changed := changed_logs(found, fingerprints):
         raise RunError(f"{sessions}: {first_of(changed)} changed since {run} was trained on them")
-    for notice in build_index(found, local_path(own), settings).notices:
+    for notice in build_index(found, own, settings).notices:
         on_notice(notice)
     with Samples(own) as samples:
         if not is_trained_on(stored, run, samples):
@@ -68,8 +68,8 @@ def index_of_run(
 def logs_with_takeovers(
     run: Path,
     takeovers: Sequence[Location],
-    sessions: Location,
-    drives: Location,
+    sessions: Path,
+    drives: Path,
     on_notice: Callable[[str], object] = lambda notice: None,
 ) -> tuple[list[Location], list[Location], IndexConfig]:
     """The logs that `run` was trained on, those of `takeovers` that are not among them, and the settings of the
@@ -83,7 +83,7 @@ def logs_with_takeovers(
     logs: list[Location] = []
     for name, fingerprint in fingerprints.items():
         drive = drives / f"{name}.mcap"
-        is_drive = file_exists(drive) and not file_exists(sessions / drive.name)
+        is_drive = drive.is_file() and not (sessions / drive.name).is_file()
         logs.append(find_unchanged_log(str(drive) if is_drive else name, sessions, fingerprint))
     takeovers = find_logs(takeovers, drives)
     learned = set(map(absolute, logs))
@@ -96,7 +96,7 @@ def logs_with_takeovers(
     return logs, new, replace(settings, drives="takeovers")
 
 
-def _is_of(index: Location, stored: dict[str, Any], run: Path) -> bool:
+def _is_of(index: Path, stored: dict[str, Any], run: Path) -> bool:
     """True if the index is readable and holds the samples that a run with this config was trained on."""
     try:
         with Samples(index) as samples:

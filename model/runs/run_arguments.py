@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import did_you_mean, first_of
-from common.location import Location, Url
-from common.store_record import cached_from
 
 RUNS: Final = Path("runs")
 """The default folder of runs."""
@@ -24,16 +22,14 @@ def new_run_name() -> str:
 
 
 def run_argument(run: Path) -> str:
-    """A run as an argument of a command, quoted for a shell: the name of a run in `RUNS`, the URL of a copy from a
-    store, else the path."""
-    return shlex.quote(run.name if run.parent == RUNS else cached_from(run) or str(run))
+    """A run as an argument of a command, quoted for a shell: the name of a run in `RUNS`, else the path."""
+    return shlex.quote(run.name if run.parent == RUNS else str(run))
 
 
-def suggest_runs(name: str, names: Sequence[str], runs: Location) -> str:
+def suggest_runs(name: str, names: Sequence[str], runs: Path) -> str:
     """A line that suggests runs in `runs` for a mistyped `name`."""
     if not names:
-        flag = f" --runs {runs}" if isinstance(runs, Url) else ""
-        return f"none is in {runs}: `bc-train{flag}` makes one"
+        return f"none is in {runs}: `bc-train` makes one"
     if meant := did_you_mean(name, names):
         return meant
     return f"in {runs} are {first_of(names)}"

@@ -25,9 +25,7 @@ from torch import Tensor
 
 from common.errors import UsageError, printable
 from common.files import remove_empty
-from common.location import Location, Url, location
-from common.progress import progress_bar
-from common.store_record import read_record
+from common.location import local_path
 from common.untrusted import real_path
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import TargetName, speed_ahead_s_in
@@ -38,7 +36,7 @@ from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import checkpoint_path, load_checksummed, position_of, save_checksummed
 from model.runs.network_of_run import NETWORK_FILE, choice_of, is_own_network, picture_of, stored_targets
-from model.runs.run_arguments import RUNS, run_argument, suggest_runs
+from model.runs.run_arguments import run_argument, suggest_runs
 from model.runs.run_config import FORMAT, is_last_weights, weights_path
 from model.runs.run_config import config_folder as config_folder
 from model.runs.run_config import load_config as load_config
@@ -46,7 +44,6 @@ from model.runs.run_config import weights_checksum as weights_checksum
 from model.runs.run_files import CONFIG as CONFIG
 from model.runs.run_files import LAST, is_being_trained, replaced_file, run_write_errors
 from model.runs.run_files import WEIGHTS as WEIGHTS
-from model.runs.runs_in_store import bring_run, find_in_store
 
 _REMEDY: Final = "copy it again, or train the run again"
 
@@ -114,16 +111,12 @@ def removed_unless_saved(folder: Path, has_learnt: Callable[[], bool]) -> Iterat
             shutil.rmtree(folder)
 
 
-def find_run(name: str | None, runs: Location | str) -> Path:
-    """Find a trained run by name (in `runs`), by path or by URL. Without a name: the run with the newest weights.
-    NAME/last has a run's last weights. For a run in a store, returns its copy in the user's cache."""
-    runs = location(runs)
-    if (copy := _downloaded(name, runs)) is not None:
-        if not (copy / WEIGHTS).is_file() and not is_last_weights(copy):
-            url = read_record(config_folder(copy)).url
-            raise RunError(f"{url}: its first epoch is not finished; `bc-train --resume {url}`")
-        return copy
-    runs = RUNS if isinstance(runs, Url) else runs
+def find_run(name: str | None, runs: Path | str) -> Path:
+    """Find a trained run by name (in `runs`) or by path. Without a name: the run with the newest weights.
+    NAME/last has a run's last weights. Raises RunError; UserError for a URL."""
+    runs = local_path(runs)
+    if name is not None:
+        local_path(name)
     if name is None:
         weights = sorted(runs.glob(f"*/{WEIGHTS}"), key=lambda path: path.stat().st_mtime_ns)
         if not weights:
@@ -148,12 +141,10 @@ def has_nothing_saved(run: Path) -> bool:
     return not checkpoint_path(run).exists() and not (run / WEIGHTS).exists()
 
 
-def find_any_run(name: str, runs: Location) -> Path:
-    """Find a run by name (in `runs`), by path or by URL, even if it has not finished an epoch. Raises RunError if
-    it does not exist."""
-    if (copy := _downloaded(name, runs)) is not None:
-        return copy
-    runs = RUNS if isinstance(runs, Url) else runs
+def find_any_run(name: str, runs: Path) -> Path:
+    """Find a run by name (in `runs`) or by path, even if it has not finished an epoch. Raises RunError if it does
+    not exist; UserError for a URL."""
+    local_path(name)
     for folder in (runs / name, Path(name)):
         if (folder / CONFIG).is_file():
             return folder
@@ -167,18 +158,6 @@ def _missing(name: str, runs: Path, kind: str, file: str) -> RunError:
     name = given.name if given.parent == runs else name  # runs/frist is in this folder, hub/frist is not
     names = sorted(path.parent.name for path in runs.glob(f"*/{file}"))
     return RunError(f"{place}: no {kind} there ({file} is missing); {suggest_runs(name, names, runs)}")
-
-
-def _downloaded(name: str | None, runs: Location) -> Path | None:
-    """An up-to-date copy of a run in a store; None for a run on this machine."""
-    parent, _, last = (name or "").rstrip("/").rpartition("/")
-    is_last = bool(parent) and last == LAST
-    stored = find_in_store(parent if is_last else name, runs)
-    if stored is None:
-        return None
-    with progress_bar() as progress:
-        copy = bring_run(stored, progress=progress)
-    return copy / LAST if is_last else copy
 
 
 def picture_of_run(folder: Path) -> PictureSpec:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -14,9 +14,7 @@ from typing import Any, Final
 
 from common.car import MAX_STEERING_DEG
 from common.errors import as_user_error
-from common.location import Location
 from common.steering_unit import SteeringUnit, steering_unit
-from common.store_record import read_record
 from model.errors import RunError
 from model.metrics import Measures
 from model.runs.enough_to_drive import Hand
@@ -26,7 +24,6 @@ from model.runs.network_of_run import stored_network, stored_targets
 from model.runs.run_config import config_folder, load_config, weights_checksum
 from model.runs.run_files import CONFIG, WEIGHTS, is_being_trained
 from model.runs.run_numbers import run_numbers
-from model.runs.runs_in_store import bring_summaries
 from model.runs.training_progress import Epoch
 from model.runs.verdict import Verdict, verdict_of
 
@@ -102,17 +99,10 @@ def _share(value: float, whole: float) -> float:
     return value / whole if whole else math.nan
 
 
-def summarize_runs(runs: Location) -> Iterator[RunSummary]:
-    """Summaries of all runs in a folder, by name; a run that cannot be read has only its problem. Raises
-    StoreError."""
-    if isinstance(runs, Path):
-        for config in sorted(runs.glob(f"*/{CONFIG}")):
-            yield summarize_run(config.parent)
-        return
-    for stored, copy in bring_summaries(runs):
-        summary = summarize_run(copy)
-        problem = summary.problem.replace(str(copy), str(stored.url))
-        yield replace(summary, folder=str(stored.url), problem=problem)
+def summarize_runs(runs: Path) -> Iterator[RunSummary]:
+    """Summaries of all runs in a folder, by name; a run that cannot be read has only its problem."""
+    for config in sorted(runs.glob(f"*/{CONFIG}")):
+        yield summarize_run(config.parent)
 
 
 def judge(
@@ -134,8 +124,7 @@ def judge(
 
 
 def summarize_run(run: Path) -> RunSummary:
-    """The summary of a run, or of a copy of a run in a store, which may lack the weights. A run that cannot be
-    read has only its problem."""
+    """The summary of a run; a run that cannot be read has only its problem."""
     try:
         return _summary(run)
     except Exception as error:
@@ -143,9 +132,8 @@ def summarize_run(run: Path) -> RunSummary:
 
 
 def _summary(run: Path) -> RunSummary:
-    weights, left = run / WEIGHTS, read_record(run).left.get(WEIGHTS)
-    has_weights = left is not None or weights.exists()
-    written_s = (weights if has_weights else run / CONFIG).stat().st_mtime if left is None else left.mtime_ns / 1e9
+    has_weights = (run / WEIGHTS).exists()
+    written_s = (run / (WEIGHTS if has_weights else CONFIG)).stat().st_mtime
     stored = load_config(run)
     epochs = read_epochs(run)
     results = last_results(run) if has_weights else []
@@ -197,8 +185,7 @@ def last_results(run: Path) -> list[KeptResult]:
     """The last results of the run's present weights: one for each track and speed, for each driven recording, and
     for each choice of recorded frames."""
     results, _ = kept_results(run)
-    left = read_record(run).left.get(WEIGHTS)
-    checksum = left.sha256 if left is not None else weights_checksum(run) if results else ""
+    checksum = weights_checksum(run) if results else ""
     last: dict[tuple[object, ...], KeptResult] = {}
     for kept in results:
         result = kept.result

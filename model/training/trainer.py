@@ -17,7 +17,7 @@ from rich.progress import Progress
 from common import Skipped
 from common.errors import first_of
 from common.interrupts import stop_signals
-from common.location import Location, location
+from common.location import local_path
 from common.progress import progress_bar
 from dataset import IndexConfig, Samples
 from dataset.prediction_targets import TARGETS, TargetName
@@ -65,7 +65,7 @@ class Trained:
 
 
 def train(
-    index: Location | str,
+    index: Path | str,
     run: Path | str,
     config: TrainConfig | None = None,
     listeners: Sequence[Listener] = (),
@@ -90,7 +90,7 @@ def train(
     Raises DatasetError if the index does not fit its logs; RunError if the run exists, cannot continue, is damaged
     or diverges, if its network cannot be trained, or if the disk is full.
     """
-    index, run, init = location(index), Path(run), None if init is None else Path(init)
+    index, run, init = local_path(index), Path(run), None if init is None else Path(init)
     stored = load_config(run) if resume else {}
     if resume:
         config = resumed_settings(run, stored, config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, overload
 
 import msgspec
 
@@ -28,6 +28,14 @@ class _Kept(msgspec.Struct):
     format: Literal[1]
     log: str  # its fingerprint
     lag: SteeringLag | None
+
+
+@overload
+def lag_path(log: Path) -> Path: ...
+
+
+@overload
+def lag_path(log: Url) -> Url: ...
 
 
 def lag_path(log: Location) -> Location:

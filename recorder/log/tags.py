@@ -19,7 +19,6 @@ from typing import IO, TYPE_CHECKING, Annotated, Final, NamedTuple, overload
 
 import msgspec
 
-from common.errors import NoSuchObjectError, ObjectChangedError
 from common.location import Location, Url
 from common.locks import lock
 from common.random_access import read_bytes
@@ -77,24 +76,12 @@ def read_tags(log: Location, fingerprint: str) -> list[Tag]:
     return sorted(tags_by_content(log)[fingerprint])
 
 
-def names_used(folder: Location) -> set[str]:
-    """The names of the tags of all logs in a folder, with EXCLUDE and FINE. Raises StoreError."""
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor() as pool:  # each file of a store is a request
-        names = list(pool.map(_names_in, _tag_files(folder)))
-    return {EXCLUDE, FINE}.union(*names)
+def names_used(folder: Path) -> set[str]:
+    """The names of the tags of all logs in a folder, with EXCLUDE and FINE."""
+    return {EXCLUDE, FINE}.union(*map(_names_in, folder.glob(f"*{_ENDING}")))
 
 
-def _tag_files(folder: Location) -> list[Path] | list[Url]:
-    if isinstance(folder, Path):
-        return list(folder.glob(f"*{_ENDING}"))
-    from common.object_store import list_objects  # an extra
-
-    return [entry.url for entry in list_objects(folder) if entry.url.name.endswith(_ENDING)]
-
-
-def _names_in(path: Location) -> set[str]:
+def _names_in(path: Path) -> set[str]:
     try:
         tagged = tags_by_content(path.with_name(path.name.removesuffix(_ENDING)))
     except LogError:  # reported when this log's own tags are read
@@ -102,16 +89,15 @@ def _names_in(path: Location) -> set[str]:
     return {tag.name for tags in tagged.values() for tag in tags}
 
 
-def add_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
+def add_tags(log: Path, fingerprint: str, tags: Sequence[Tag]) -> None:
     """Add all tags, or none if an exception is raised.
 
-    Raises LogError for invalid names or rows, or if the file cannot be written; StoreError, also if somebody else
-    changes the tags in the store at the same moment.
+    Raises LogError for invalid names or rows, or if the file cannot be written.
     """
     _append(log, "add", fingerprint, tags)
 
 
-def remove_tags(log: Location, fingerprint: str, tags: Sequence[Tag]) -> None:
+def remove_tags(log: Path, fingerprint: str, tags: Sequence[Tag]) -> None:
     """Remove all existing ones of these tags. Raises as `add_tags`."""
     _append(log, "remove", fingerprint, tags)
 
@@ -188,7 +174,7 @@ def _bounded(path: Location, data: bytes) -> bytes:
     return data
 
 
-def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -> None:
+def _append(log: Path, action: str, fingerprint: str, tags: Sequence[Tag]) -> None:
     path = tags_path(log)
     try:
         entries = [
@@ -198,37 +184,10 @@ def _append(log: Location, action: str, fingerprint: str, tags: Sequence[Tag]) -
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
     lines = b"".join(json.dumps(entry, ensure_ascii=False).encode() + b"\n" for entry in entries)
-    if isinstance(path, Url):
-        _append_there(path, lines)
-    else:
-        _append_here(_plain(path), lines)
+    _append_lines(_plain(path), lines)
 
 
-def _append_there(url: Url, lines: bytes) -> None:
-    """Replace a journal in a store by one with more lines, unless somebody else has changed it meanwhile."""
-    import tempfile
-
-    from common.object_file import ObjectFile, ObjectVersion  # an extra
-    from common.object_store import put_file
-
-    before = b""
-    replaces: ObjectVersion | None = None
-    with contextlib.suppress(NoSuchObjectError), ObjectFile(url) as journal:
-        replaces = journal.version
-        before = _bounded(url, journal.read(0, min(journal.size, MAX_BYTES + 1)))
-    with tempfile.TemporaryDirectory(prefix="bc-tags-") as folder:
-        file = Path(folder) / url.name
-        whole = _whole_lines(before)
-        file.write_bytes(_bounded(url, whole + _more(whole, lines)))
-        try:
-            put_file(url, file, replaces)
-        except ObjectChangedError:
-            raise ObjectChangedError(
-                f"{url}: somebody else has tagged this log at the same moment; give the command again"
-            ) from None
-
-
-def _append_here(path: Path, lines: bytes) -> None:
+def _append_lines(path: Path, lines: bytes) -> None:
     try:
         with _locked(path) as stream:
             stream.seek(0)

@@ -13,6 +13,7 @@ import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 from mcap.data_stream import RecordBuilder
@@ -226,7 +227,7 @@ def _records(summary: bytes) -> Iterator[McapRecord]:
 def walk(file: McapFile, data_end: int = 0) -> Structure:
     """The structure from a walk from the file's start to its end; unreadable stretches are in `lost`. `data_end`:
     see `Structure`."""
-    problem = GOES_ON if is_being_written(file.path) else KILLED
+    problem = GOES_ON if isinstance(file.path, Path) and is_being_written(file.path) else KILLED
     structure = Structure(problem=problem, has_end=False, data_end=data_end)
     position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
     unsure = position  # no CRC has matched after it: a damaged length may have led past whole chunks

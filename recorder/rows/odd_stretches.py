@@ -8,13 +8,13 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted, printable
-from common.location import Location
 from common.stretches import stretches_within
 from recorder.rows.causes import CAUSES, NOT_LEARNT
 from recorder.rows.row_quality import (
@@ -70,7 +70,7 @@ class OddStretch:
     def rows(self) -> int:
         return self.last_row - self.first_row + 1
 
-    def command(self, log: Location) -> str:
+    def command(self, log: Path) -> str:
         """The command that excludes its rows."""
         return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
 
@@ -223,13 +223,13 @@ def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
     return lines
 
 
-def exclude_command(odd: Sequence[OddStretch], log: Location) -> str:
+def exclude_command(odd: Sequence[OddStretch], log: Path) -> str:
     """The command that excludes all sure stretches."""
     look = " --look" * any(stretch.is_sure and stretch.is_shown for stretch in odd)
     return f"bc-log tag {shlex.quote(str(log))} exclude --odd{look}"
 
 
-def odd_advice(odd: Sequence[OddStretch], log: Location, *, is_looked: bool = False) -> list[str]:
+def odd_advice(odd: Sequence[OddStretch], log: Path, *, is_looked: bool = False) -> list[str]:
     """What happens to the odd stretches of a log, and what to do about them. `is_looked`: `bc-log check` has just
     looked at the pictures."""
     lines, place = [], shlex.quote(str(log))

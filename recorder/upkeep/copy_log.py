@@ -1,16 +1,14 @@
 """Copies logs between this machine and a store, whole or not at all. Fingerprints are compared, and nothing is
 replaced unasked.
 
-To a store: the log becomes the object NAME.mcap.XXXXXX.part. The store renames it if the name is still free. A
+To a store: the log is sent in parts, which become an object after the last one, if the name is still free. A
 stopped upload begins again. From a store: NAME.mcap.XXXXXX.part grows on the disk. Its name depends on the
 object's ETag, so that a stopped copy continues. All its CRCs are checked before it gets its name.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import secrets
 import shlex
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -25,10 +23,8 @@ from common.location import Location, Url
 from common.locks import try_lock
 from common.object_file import MAX_READ_AHEAD, ObjectFile
 from common.object_store import (
-    MAX_IN_ONE_REQUEST,
     OnBytes,
     find_object,
-    name_new,
     put_new,
     put_over,
     put_parts,
@@ -87,33 +83,19 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: unfinished or damaged; run {recovery(log)} first")
-    _put_and_name(log, url, size, fingerprint, overwrite, on_bytes)
+    _put(log, url, size, fingerprint, overwrite, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
 
-def _put_and_name(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
-    is_small = size <= MAX_IN_ONE_REQUEST  # larger logs are written under their final name
-    made = url.with_name(f"{url.name}.{secrets.token_hex(3)}{PART_SUFFIX}") if is_small and not overwrite else url
+def _put(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
     try:
-        try:
-            put_parts(made, _parts(log, on_bytes, None if overwrite or is_small else url), size)
-        except StoreError:  # if only the answer was lost, the object is complete
-            if not _is_there(made, size, fingerprint):
-                raise
-        if _fingerprint(made) != fingerprint:
-            raise LogError(f"{made}: differs from {log}, which may have changed; give the command again")
-        if made != url:
-            try:
-                name_new(made, url)
-            except StoreError:
-                if not _is_there(url, size, fingerprint):
-                    raise
-                remove(made)
-    except BaseException:
-        if made != url:
-            with uninterrupted(), contextlib.suppress(StoreError):  # the first error counts
-                remove(made)
-        raise
+        put_parts(url, _parts(log, on_bytes, None if overwrite else url), size)
+    except StoreError:  # the object is complete if only the answer was lost, or if another machine has sent it
+        if not _is_there(url, size, fingerprint):
+            raise
+    if _fingerprint(url) != fingerprint:
+        remove(url)
+        raise LogError(f"{log}: has changed while it was copied; give the command again")
 
 
 def _is_there(url: Url, size: int, fingerprint: str) -> bool:
@@ -145,7 +127,7 @@ def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_byt
             return Copied(path, source.size, False, _download_tags(url, path, overwrite))
         refuse_existing(path, overwrite)
         make_folder(path.parent)
-        token = hashlib.sha256(f"{url} {source.version.e_tag} {source.size}".encode()).hexdigest()[:6]
+        token = hashlib.sha256(f"{url} {source.e_tag} {source.size}".encode()).hexdigest()[:6]
         part = path.with_name(f"{path.name}.{token}{PART_SUFFIX}")
         try:
             with part.open("ab") as stream:

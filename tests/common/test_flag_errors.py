@@ -39,7 +39,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         (bc_index, ["--recipe", "secret"], "bc-index: --recipe secret: expected one of original, people"),
         # an empty word, of a shell's unset variable, is not the current folder
         (bc_import, ["", "a"], "bc-import: '': expected SOURCE"),
-        (bc_record, ["a", "--sessions="], "bc-record: --sessions: expected PATH|URL"),
+        (bc_record, ["a", "--sessions="], "bc-record: --sessions: expected PATH"),
         (bc_train, ["--init", "a", "--takeovers", "b", ""], "bc-train: --takeovers: expected LOG [LOG ...]"),
         (bc_log, ["ls", ""], "bc-log: '': expected [FOLDER|LOG ...]"),
         (bc_doctor, [""], "bc-doctor: '': expected [PATH]"),

@@ -10,7 +10,7 @@ import pytest
 
 from common import UserError
 from common.locks import is_being_written, lock, try_lock
-from common.store_settings import store_settings
+from common.store_connection import store_settings
 from common.users_cache import users_cache
 from tests.helpers.driving import PATIENCE_S, environment
 

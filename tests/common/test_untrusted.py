@@ -20,7 +20,6 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
-from common.store_record import StoreRecord, read_record
 from common.untrusted import open_regular, read_bounded
 from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import BuildState, read_state
@@ -94,7 +93,6 @@ def test_only_files_are_opened(pipe: Path, read: Callable[[Path], object]) -> No
 @pytest.mark.parametrize(
     ("name", "read", "empty"),
     [
-        (".store.json", read_record, StoreRecord()),
         ("state.json", read_state, BuildState.nothing()),
         ("looks/a.json", lambda folder: read_image_check(folder, "a", ""), None),
     ],

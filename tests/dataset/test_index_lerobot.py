@@ -107,10 +107,6 @@ def test_logs_of_a_bucket_are_exported_as_those_of_a_disk(tmp_path: Path, monkey
         index = build_index([bucket.url("one.mcap")], tmp_path / "far" / "index", HALVES).path
         _, stored = exported(index)
         assert stored == local
-        monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-        shutil.copytree(index, bucket.folder / "index")
-        done = export_index(bucket.url("index"), tmp_path / "third")
-        assert pq.read_table(done.folder / "data").to_pydict() == local
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,7 +35,6 @@ from dataset.alterations import alter
 from dataset.preprocessing import Image
 from tests.helpers.driving import run_code
 from tests.helpers.logs import plain_read, write_log
-from tests.helpers.places import Place
 from tests.helpers.udacity import jpeg
 
 STEERING = [round(-0.6 + 0.05 * row, 2) for row in range(24)]
@@ -91,11 +90,11 @@ def content(batch: Batch) -> tuple[bytes, bytes]:
 # Batches
 
 
-def test_an_epoch_is_every_sample_once_each_as_the_index_says(index: Path, place: Place) -> None:
+def test_an_epoch_is_every_sample_once_each_as_the_index_says(index: Path) -> None:
     expected = rows_of(index)
     assert any(row["alteration"] for row in expected)
     assert {row["session"] for row in expected} == {"lake", "jungle"}
-    with load(place(index), batch=BATCH) as loader:
+    with load(index, batch=BATCH) as loader:
         order = loader.order(3)
         assert sorted(order.tolist()) == list(range(len(expected)))
         assert (len(loader), loader.batches) == (len(expected), -(-len(expected) // BATCH))
@@ -129,9 +128,9 @@ def test_an_epoch_goes_on_from_any_batch(index: Path) -> None:
             assert [content(batch) for batch in resumed.epoch(1, start_batch=start)] == whole[start:]
 
 
-def test_threads_and_memory_change_nothing(index: Path, place: Place) -> None:
+def test_threads_and_memory_change_nothing(index: Path) -> None:
     def epochs(**settings: Any) -> list[tuple[bytes, bytes]]:
-        with load(place(index), batch=BATCH, **settings) as loader:
+        with load(index, batch=BATCH, **settings) as loader:
             return [content(batch) for epoch in (1, 2) for batch in loader.epoch(epoch)]
 
     expected = epochs()
@@ -171,7 +170,7 @@ def test_batches_belong_to_whoever_got_them(index: Path) -> None:
         assert [content(batch) for batch in kept[1:]] == before[1:]
 
 
-def test_pictures_at_the_same_place_of_two_logs_are_not_mixed_up(tmp_path: Path, place: Place) -> None:
+def test_pictures_at_the_same_place_of_two_logs_are_not_mixed_up(tmp_path: Path) -> None:
     first, second = next(
         pair for pair in itertools.combinations(map(jpeg, range(256)), 2) if len(pair[0]) == len(pair[1])
     )
@@ -180,7 +179,7 @@ def test_pictures_at_the_same_place_of_two_logs_are_not_mixed_up(tmp_path: Path,
     build_index([tmp_path / "lake.mcap", tmp_path / "jungle.mcap"], tmp_path / "index", IndexConfig(flip=False))
     rows = rows_of(tmp_path / "index")
     assert len({row["offset"] for row in rows}) == len(rows) // 2
-    with load(place(tmp_path / "index")) as loader:
+    with load(tmp_path / "index") as loader:
         [batch] = loader.in_order()
     for picture, row in zip(batch.pictures, rows, strict=True):
         assert (picture == shown(tmp_path / "index", row)).all()
@@ -334,13 +333,13 @@ def test_a_worker_refuses_a_log_that_has_changed(own: Path) -> None:
         pickle.loads(sent)[0]
 
 
-def test_changed_bytes_behind_an_unchanged_log_are_never_trained_on(own: Path, place: Place) -> None:
+def test_changed_bytes_behind_an_unchanged_log_are_never_trained_on(own: Path) -> None:
     """Same size, same chunk headers, so the same fingerprint; the chunk's CRC tells."""
     log = own.parent / "lake.mcap"
     with log.open("rb+") as stream:
         stream.seek(rows_of(own)[0]["offset"] + 100)
         stream.write(b"\0\0\0\0")
-    with load(place(own), batch=BATCH) as loader:
+    with load(own, batch=BATCH) as loader:
         learnt = sum(len(batch.steering) for batch in loader.epoch(1))
         assert len(loader.skipped) > 0
         assert learnt < len(loader)

@@ -10,8 +10,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from dataset import DatasetError, Samples, load
-from tests.helpers.bucket import Bucket
+from dataset import DatasetError, Samples
 from tests.helpers.toy import toy_index
 
 pytestmark = pytest.mark.usefixtures("project")
@@ -48,11 +47,3 @@ def test_what_is_no_log_is_one_line(project: Path, name: str) -> None:
     with pytest.raises(DatasetError) as error:
         Samples(copied(project, name))
     assert "\n" not in str(error.value)
-
-
-def test_logs_in_the_bucket_of_a_copied_index_are_opened(bucket: Bucket, tmp_path: Path) -> None:
-    index = copied(tmp_path / "project", "../anywhere/toy.mcap")
-    shutil.copytree(index, bucket.folder / "index")
-    shutil.copytree(tmp_path / "private", bucket.folder / "anywhere")
-    with load("s3://logs/index") as loader:
-        assert len(loader) > 0

@@ -15,7 +15,6 @@ import torch
 from drive.cli import main as bc_drive
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.reader import Log
-from tests.helpers.bucket import serving_bucket
 from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import one_line_in, untrained_run
 from tests.helpers.repository import ROOT
@@ -64,24 +63,6 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
         (3, STEPS, "truncated"),
         (4, STEPS, "truncated"),
     ]
-
-
-def test_a_drive_is_copied_to_a_store_when_it_is_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    flags = ("first", *bar(**SPEED, args=SHORT), *UNSEEN, "--log", "s3://logs/drives/d.mcap")
-    with serving_bucket(tmp_path / "server", monkeypatch) as bucket:
-        assert call(bc_drive, *flags) == 0
-        copy = (bucket.folder / "drives/d.mcap").read_bytes()
-        assert copy == Path("drives/d.mcap").read_bytes()
-        Path("drives/d.mcap").unlink()
-        assert call(bc_drive, *flags) == 1  # before anything is driven
-        assert not Path("drives/d.mcap").exists()
-        assert "s3://logs/drives/d.mcap exists already" in capsys.readouterr().err
-        assert (bucket.folder / "drives/d.mcap").read_bytes() == copy
-        assert call(bc_drive, *flags[:-2], "--drives", "s3://logs/drives") == 0  # by its date
-        assert len(list((bucket.folder / "drives").glob("20*.mcap"))) == 1
-        assert call(bc_drive, *flags, "--drives", "s3://logs/drives") == 2
 
 
 def test_a_full_disk_ends_the_drive_at_once(capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,6 +33,7 @@ COMMANDS: Final = {
     "bc-record": "recorder.cli",
     "bc-import": "recorder.import_cli",
     "bc-log": "recorder.log_cli",
+    "bc-copy": "drive.copy_cli",
     "bc-index": "dataset.cli",
     "bc-train": "model.cli",
     "bc-runs": "model.runs_cli",

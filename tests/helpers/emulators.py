@@ -108,7 +108,7 @@ def _ask_gcs(port: int, path: str, data: bytes) -> None:
 def serving_googles_xml(folder: Path) -> Iterator[int]:
     """The buckets in a folder by Google's XML interface, as far as logs are copied there; gives the port.
 
-    That is S3's, which localbucket speaks, but for two headers:
+    That is S3's, which localbucket speaks, but for a header:
     https://cloud.google.com/storage/docs/xml-api/reference-headers
     """
 
@@ -119,8 +119,6 @@ def serving_googles_xml(folder: Path) -> Iterator[int]:
             is_sound = bool(super().parse_request())
             if is_sound and self.headers.get("x-goog-if-generation-match") == "0":  # if there is none
                 self.headers["If-None-Match"] = "*"
-            if is_sound and (source := self.headers.get("x-goog-copy-source")):
-                self.headers["x-amz-copy-source"] = source
             return is_sound
 
         def end_headers(self) -> None:

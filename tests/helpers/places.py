@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import localbucket
 
@@ -19,19 +18,11 @@ KEYS = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_REGIO
 
 
 class Handler(localbucket.S3Handler):  # type: ignore[misc]
-    """localbucket's, silent, and with objects that are written on a condition."""
+    """localbucket's, silent."""
 
     disable_nagle_algorithm = True
 
     def log_message(self, *arguments: object) -> None: ...
-
-    def _write_object(self, bucket: str, key: str, write: Callable[[Any], str]) -> str:
-        path: Path = self._object_path(bucket, key)
-        expected = self.headers.get("If-Match")  # which localbucket knows only where it is read
-        if expected is not None and not localbucket.etag_matches(expected, localbucket.object_etag(path)):
-            raise self._precondition_failed_error()
-        etag: str = super()._write_object(bucket, key, write)
-        return etag
 
 
 @contextlib.contextmanager

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlencode, urlsplit
 
-from common.location import Location
 from tests.helpers.driving import PATIENCE_S, Process
 from tests.helpers.pages import TOKEN
 from tests.helpers.waiting import wait_until
@@ -99,8 +98,8 @@ def served(
     folder: Path,
     host: str = "127.0.0.1",
     token: str = TOKEN,
-    at: Location | None = None,
-    drives: Location | None = None,
+    at: Path | None = None,
+    drives: Path | None = None,
     port: int = 0,
 ) -> Iterator[Served]:
     """The workbench over the folders of a project, which is `at` another place if one is given, as may be its

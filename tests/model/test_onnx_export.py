@@ -24,7 +24,6 @@ from model import RunError, load_pilot
 from model.cli import main
 from model.onnx_export import export_onnx
 from model.runs.run_folder import save_weights
-from tests.helpers.bucket import Bucket
 from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import PATIENCE_S, environment, road_jpeg, untrained_run
 from tests.helpers.exports import export
@@ -209,16 +208,6 @@ def test_a_file_is_replaced_only_if_that_is_asked_for(
     assert mine.read_text() == "mine"
     assert call(main, *line, "--force") == 0
     assert mine.read_bytes() == exported.read_bytes()
-
-
-def test_a_run_of_a_store_is_exported_here(
-    trained: Path, exported: Path, bucket: Bucket, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stored = shutil.copytree(trained, bucket.folder / "runs" / "first")
-    before = sorted(stored.iterdir())
-    assert call(main, "export", "first", "--onnx", "--runs", "s3://logs/runs") == 0
-    assert Path("first.onnx").read_bytes() == exported.read_bytes()
-    assert sorted(stored.iterdir()) == before
 
 
 # Runs that cannot be exported

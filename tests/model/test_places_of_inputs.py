@@ -11,7 +11,7 @@ import pytest
 from model import train
 from model.runs.run_folder import weights_checksum
 from model.runs.run_inputs import index_of, init_of, sessions_of
-from tests.helpers.driving import run, untrained_run
+from tests.helpers.driving import one_line_of, run, untrained_run
 from tests.helpers.toy import SMALL, toy_index
 
 pytestmark = pytest.mark.usefixtures("project")
@@ -30,6 +30,13 @@ def test_a_copied_run_in_its_project_needs_no_flags(project: Path) -> None:
     made = run_that_names(project, "../../index")
     assert index_of(made) == Path("index")
     assert sessions_of(made) == Path()
+
+
+def test_an_index_in_a_store_is_to_be_brought_first(project: Path) -> None:
+    made = run_that_names(project, "s3://lab/index")
+    refused = run("bc-eval", made, cwd=project)
+    assert refused.returncode == 1
+    assert "`bc-copy s3://lab/index index`, and give --index index" in one_line_of(refused)
 
 
 def test_initial_weights_that_are_gone_are_found_by_name_in_runs(project: Path) -> None:

@@ -67,19 +67,6 @@ def test_weights_from_a_store_are_those_from_a_disk_also_when_resumed(
     assert weights[0] == weights[1]
 
 
-def test_an_index_may_lie_in_the_store_beside_its_logs(
-    bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path
-) -> None:
-    beside = build_index(sorted(bucket.folder.glob("*.mcap")), bucket.folder / "index", CONFIG).path
-    (bucket.folder / "absolute").mkdir()
-    shutil.copy(indexes[1] / "samples.parquet", bucket.folder / "absolute")
-    expected = pictures(load(indexes[0], batch=7))
-    for name in (beside.name, "absolute"):
-        assert pictures(load(bucket.url(name), batch=7)) == expected
-    with pytest.raises(DatasetError, match=r"s3://logs/none: no index"):
-        load("s3://logs/none")
-
-
 def test_a_log_comes_once_and_whole(bucket: Bucket, indexes: tuple[Path, Path], tmp_path: Path) -> None:
     _, store = indexes
     bucket.requests.clear()

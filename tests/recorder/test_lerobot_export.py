@@ -24,7 +24,6 @@ from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main as bc_log
 from tests.helpers.lerobot_logs import DRIVES, TIMES_NS, decoded, jpeg, steering, write_drives
 from tests.helpers.logs import flip_bit
-from tests.helpers.places import Place
 from tests.helpers.udacity import call
 
 DATA = "data/chunk-000/file-000.parquet"
@@ -107,13 +106,13 @@ def test_what_tells_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
 
 
 def test_excluded_rows_stay_out_and_what_they_leave_is_two_episodes(
-    tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = write_drives(tmp_path / "long.mcap", times_ns=[TIMES_NS[0] + 100_000_000 * row for row in range(25)])
     with Log(log) as opened:
         add_tags(log, opened.fingerprint, [Tag(5, 16, "exclude")])
         add_tags(log, opened.fingerprint, [Tag(0, 24, "sunny")])
-    assert call(bc_log, "export", place(log), "--lerobot", tmp_path / "out", "--license", "mit") == 0
+    assert call(bc_log, "export", log, "--lerobot", tmp_path / "out", "--license", "mit") == 0
     assert exported_rows(tmp_path / "out") == [*range(5), *range(17, 25)]
     assert lengths(tmp_path / "out") == [5, 8]
     said = capsys.readouterr()

@@ -15,7 +15,6 @@ from tests.helpers.driving import Process, command, environment, road_jpeg
 from tests.helpers.logs import write_log
 from tests.helpers.ports import free_ports
 from tests.helpers.workbench import Served, served_by
-from web.folders.project_folders import ProjectFolders
 from web.logs.open_logs import OpenLogs
 from web.server.memory import EVERY
 
@@ -53,7 +52,7 @@ def test_what_threads_have_freed_goes_back() -> None:
 
 def test_few_large_logs_are_kept_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     logs = [write_log(tmp_path / "sessions" / f"{name}.mcap", [0.1] * 20) for name in "abc"]
-    opened = OpenLogs(ProjectFolders(tmp_path / "sessions"))
+    opened = OpenLogs()
     with opened.open(logs[0]) as first:
         pass
     monkeypatch.setattr(web.logs.open_logs, "MAX_MESSAGES", 2 * first.messages)

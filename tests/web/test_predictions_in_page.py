@@ -22,7 +22,6 @@ from model.runs.run_folder import create_run, save_weights
 from recorder import LogWriter
 from tests.helpers.logs import write_log
 from tests.helpers.pages import open_session, opened_page
-from tests.helpers.places import url_within
 from tests.helpers.toy import STEERING, road
 from tests.helpers.waiting import wait_until
 from tests.helpers.workbench import Served, served
@@ -35,8 +34,8 @@ ROWS = len(STEERING)
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory, bucket_of_tests: dict[str, str]) -> Iterator[Served]:
-    """Sessions and runs on the disk, the log of a drive in a bucket."""
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """Sessions, runs and the log of a drive."""
     folder = tmp_path_factory.mktemp("predictions")
     (folder / "sessions").mkdir()
     write_log(folder / "drives" / "toy.mcap", STEERING, road, cameras=["center"])
@@ -45,14 +44,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory, bucket_of_tests: dict[str, s
     write_log(folder / "sessions" / "blind.mcap", STEERING[:5], cameras=[])
     constant_run(folder / "runs" / "constant")
     constant_run(folder / "runs" / "another", 0.5)
-    drives = url_within(tmp_path_factory.getbasetemp())(folder / "drives")
     with pytest.MonkeyPatch.context() as patched:
         (folder / "temporary").mkdir()
         patched.setattr(tempfile, "tempdir", str(folder / "temporary"))
-        for name, value in {**bucket_of_tests, "BC_CACHE": str(folder / "chunks")}.items():
-            patched.setenv(name, value)
-        with served(folder, drives=drives) as server:
-            wait_until(lambda: server.get("/drives/toy").status == 200)  # the store has answered
+        with served(folder) as server:
             yield server
 
 
@@ -91,7 +86,7 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(
     worst = int(np.argmax(np.abs(errors_deg)))
     rmse_deg = math.sqrt(np.mean(errors_deg**2))
     mean_rmse_deg = 25 * np.std(STEERING)
-    with opened_page(browser, f"{bench.address}/drives/toy") as page:  # as any log, and this one is in a bucket
+    with opened_page(browser, f"{bench.address}/drives/toy") as page:
         open_session(page)
         page.select_option("#run", "constant")
         page.wait_for_selector("#session[data-run=constant]")

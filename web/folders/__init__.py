@@ -1,1 +1,1 @@
-"""The project's folders, on this machine or in stores, and the cache."""
+"""The project's folders, and the cache."""

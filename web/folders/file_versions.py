@@ -10,24 +10,21 @@ from pathlib import Path
 from typing import Final, Generic, TypeVar
 
 from common.files import PART_SUFFIX
-from common.location import Location
-from dataset.index.build_state import Stat
 
 _GROWING_STEP: Final = 22  # bits: 4 MB, because an unfinished log is read in full for each version
 
-Place = TypeVar("Place", bound=Location)
 Value = TypeVar("Value")
 
 
-class Newest(Generic[Place, Value]):
+class Newest(Generic[Value]):
     """Values made from files: one for each of the files used last, of the file's newest version."""
 
     def __init__(self, max_kept: int) -> None:
         self._max_kept = max_kept
         self._lock = threading.Lock()
-        self._values: dict[Place, tuple[str, Value]] = {}
+        self._values: dict[Path, tuple[str, Value]] = {}
 
-    def get(self, place: Place, version: str, make: Callable[[], Value]) -> Value:
+    def get(self, place: Path, version: str, make: Callable[[], Value]) -> Value:
         """The kept value of this version, or what `make` returns."""
         with self._lock:
             kept = self._values.get(place)
@@ -60,11 +57,6 @@ def version_of_growing(path: Path) -> str:
     except OSError:
         return "none"
     return f"{status.st_ino:x}.{status.st_size >> _GROWING_STEP:x}"
-
-
-def version_of_stats(stats: Iterable[tuple[Location, Stat]]) -> str:
-    """The version of objects in a store, by their sizes and ETags."""
-    return digest(f"{place},{stat}" for place, stat in stats)
 
 
 def version_of_folder(folder: Path) -> str:

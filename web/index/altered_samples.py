@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import cv2
@@ -13,8 +14,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from common.errors import printable
-from common.location import Location, absolute
 from common.steering_unit import assumed_deg, steering_unit
+from common.untrusted import real_path
 from dataset import Samples
 from dataset.alterations import EpochAlterations
 from dataset.loader.crops import Crops
@@ -47,14 +48,14 @@ class AlteredSamples(msgspec.Struct, frozen=True):
     shown: list[AlteredSample]
 
 
-def altered_samples(index: Location, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
+def altered_samples(index: Path, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
     """`SHOWN` training samples of an index of this version; another number `others` gives others. Raises UserError
     if the index or its logs cannot be read."""
-    key = f"altered 5 {absolute(index)} {version} {others}"
+    key = f"altered 5 {real_path(index)} {version} {others}"
     return cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
 
-def _read(index: Location, others: int) -> AlteredSamples:
+def _read(index: Path, others: int) -> AlteredSamples:
     with Samples(index) as samples:
         table = samples.of_split("train", _COLUMNS)
         # by the golden ratio, the numbers of each round lie between those of earlier rounds

@@ -100,7 +100,6 @@ class JobForm:
     fields: tuple[Field, ...]
     folders: tuple[str, ...]  # of the project; if they are not the usual ones, the command gets their flags
     made: Callable[[Mapping[str, str]], str]  # the page of its output
-    to_store: str = ""  # the flag for the folder of its sessions, if that is in a store
     names_run: bool = False  # a run without a name gets one, so that its page is known
     fills_project: bool = False  # its `--folder` is the project, if none of the project's folders exists yet
 
@@ -120,7 +119,7 @@ class JobForm:
             refuse_taken(values["name"].strip(), "sessions", folders)
         if self.fills(folders):
             words.append(f"--folder={folders.parent}")
-        return words + folders.flags(*self.folders, to_store=self.to_store)
+        return words + folders.flags(*self.folders)
 
     @property
     def makes_session(self) -> bool:
@@ -189,7 +188,6 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         ("sessions",),
         _session,
-        to_store="--copy-to",  # `bc-record` writes on this machine
     ),
     JobForm(
         "import",
@@ -222,7 +220,6 @@ FORMS: Final[Sequence[JobForm]] = (
         ),
         ("sessions",),
         _session,
-        to_store="--copy-to",
     ),
     JobForm(
         "index",

@@ -5,6 +5,7 @@ Nothing is overwritten: no command gets `--force`, and a name that is taken is r
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,10 @@ from typing import Final
 
 from common.errors import printable
 from common.files import session_name
-from common.location import Location
 from common.untrusted import whole_number
 from recorder.upkeep.recover import recovered_name
 from web.errors import WebError, or_404
-from web.folders.project_folders import ProjectFolders, is_recording
+from web.folders.project_folders import is_recording
 
 _SUFFIX: Final = ".mcap"
 _MAX_BYTES: Final = 200  # of a new log's name
@@ -47,7 +47,7 @@ class LogJob:
     def title(self) -> str:
         return self.name.capitalize()
 
-    def words(self, new: Location, form: NewLogForm, logs: Mapping[str, Location]) -> list[str]:
+    def words(self, new: Path, form: NewLogForm, logs: Mapping[str, Path]) -> list[str]:
         """The words after the log. `logs` are all logs of the folder, by key."""
         words: list[str] = []
         if self.has_rows:
@@ -95,11 +95,6 @@ LOG_JOBS: Final = (
 )
 
 
-def jobs_for(log: Location) -> list[LogJob]:
-    """The jobs of a log; for a log in a store, only the check."""
-    return [job for job in LOG_JOBS if isinstance(log, Path) or not job.made]
-
-
 def log_job(name: str) -> LogJob:
     """The job of a name. Raises WebError if there is none."""
     job = next((job for job in LOG_JOBS if job.name == name), None)
@@ -107,19 +102,17 @@ def log_job(name: str) -> LogJob:
 
 
 def command_line(
-    job: LogJob, log: Location, form: NewLogForm, logs: Mapping[str, Location], folders: ProjectFolders
-) -> tuple[list[str], Location | None]:
+    job: LogJob, log: Path, form: NewLogForm, logs: Mapping[str, Path]
+) -> tuple[list[str], Path | None]:
     """The words of the command, and the log that it makes, or the first of several; None for none. `logs` are all
     logs of the folder, by key. Raises WebError for invalid values, and if a new log's name is taken."""
     if is_recording(log):
         raise WebError("this log is being recorded: wait until the recording has ended", 409)
-    if job not in jobs_for(log):
-        raise WebError(f"{log}: not on this machine; copy it first: `bc-log copy {log} FOLDER`", 422)
-    made = job.made(log) if job.made and isinstance(log, Path) else None
+    made = job.made(log) if job.made else None
     if made is not None and form.new and job.is_named:
         made = made.with_name(_name(form.new))
     words = ["bc-log", job.name, str(log), *job.words(made or log, form, logs)]
-    if made is not None and folders.is_taken(made):
+    if made is not None and os.path.lexists(made):
         raise WebError(f"{printable(str(made))}: exists already; give another name, or remove it", 409)
     try:
         "".join(words).encode()

@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 
 from common.errors import printable
 from common.files import PART_SUFFIX, final_name, session_name
-from common.location import Location, Url
 from common.locks import is_being_written
 from common.recipe import Recipe
 from common.untrusted import real_path
@@ -67,7 +66,7 @@ class NewDrive(NamedTuple):
 class EndedDrive(NamedTuple):
     """A drive's log. `is_whole` is False while it is written, and if it was never finished."""
 
-    log: Location
+    log: Path
     is_whole: bool
     is_growing: bool
 
@@ -90,7 +89,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
         words = ["bc-record", "me", name] if built_in else ["bc-record", "listen", name, "--me"]
         words += [f"--track={_track(settings)}", f"--rate={settings['rate']}"] if built_in else []
         words += _start(settings) if built_in else []
-        words += [speed, *folders.flags("sessions", to_store="--copy-to")]
+        words += [speed, *folders.flags("sessions")]
         return NewDrive([*words, "--no-page"], "sessions", name)
     run = folders.run_folders().get(settings["run"])
     if run is None:
@@ -101,7 +100,7 @@ def new_drive(values: Mapping[str, str], folders: ProjectFolders) -> NewDrive:
     return NewDrive([*words, f"--log={folders.drives / f'{name}.mcap'}", "--no-page"], "drives", name)
 
 
-def training(place: Place, log: Location, folders: ProjectFolders) -> tuple[list[str], str]:
+def training(place: Place, log: Path, folders: ProjectFolders) -> tuple[list[str], str]:
     """The command that trains a network, and the name of the new run. A session trains a new network. The
     takeovers of a drive train the run that drove. Raises WebError if that run no longer exists, or if a session's
     name looks like a flag."""
@@ -125,7 +124,7 @@ TAKEOVERS_RECIPE: Final[Recipe] = "people"
 """Without altered pictures, as learning from takeovers was measured (docs/studies/at-the-wheel.md)."""
 
 
-def is_training_on(job: Job, log: Location) -> bool:
+def is_training_on(job: Job, log: Path) -> bool:
     """Whether a job trains or trained on that log."""
     words = job.about.words
     is_on = words[-2:] == ["--on", session_name(log)]
@@ -155,9 +154,8 @@ def place_of(wheel: OpenWheel, folders: ProjectFolders) -> tuple[Place, str] | N
     """The project's folder that has a drive's log, and the log's key; None if the log is elsewhere."""
     log = Path(wheel.project, wheel.log)
     for place in PLACES:
-        folder: Location = getattr(folders, place)
-        local = Path(place) if isinstance(folder, Url) else folder  # copied to the store at the end
-        if real_path(log.parent) == real_path(local):
+        folder: Path = getattr(folders, place)
+        if real_path(log.parent) == real_path(folder):
             return place, key_of(Path(final_name(log.name)))
     return None
 
@@ -169,7 +167,7 @@ def ended_drive(place: Place, key: str, folders: ProjectFolders) -> EndedDrive |
         return EndedDrive(logs[key], is_whole=True, is_growing=False)
     for log in logs.values():
         if key_of(Path(final_name(log.name))) == key:
-            return EndedDrive(log, is_whole=False, is_growing=isinstance(log, Path) and is_being_written(log))
+            return EndedDrive(log, is_whole=False, is_growing=is_being_written(log))
     return None
 
 

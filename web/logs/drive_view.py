@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from concurrent.futures import Executor
 from itertools import islice
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
@@ -14,14 +15,14 @@ from numpy.typing import NDArray
 
 from common import UserError
 from common.errors import printable
-from common.location import Location, absolute
+from common.untrusted import real_path
 from drive.control.takeover import TAKES_OVER
 from recorder import Log, topics
 from recorder.log.meant_gaps import HUMAN_DRIVES
 from recorder.log.session_car import max_steering_deg_of
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
-from web.folders.project_folders import ProjectFolders
+from web.folders.project_folders import version_of_log
 from web.logs.open_logs import OpenLog
 
 _MAX_POINTS: Final = 1500
@@ -63,28 +64,23 @@ class DriveView(msgspec.Struct, frozen=True):
 
 
 class DriveViews:
-    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
-        self._folders = folders
+    def __init__(self, cache: CacheFolder, pool: Executor) -> None:
         self._cache = cache
-        self._views = Background[Location, DriveView](pool, self._view)
+        self._views = Background(pool, self._view)
 
     @property
     def done(self) -> int:
         return self._views.done
 
-    def views(self, logs: Iterable[Location], patience_s: float) -> dict[Location, DriveView | UserError]:
+    def views(self, logs: Iterable[Path], patience_s: float) -> dict[Path, DriveView | UserError]:
         """The views of the logs that are read within `patience_s`; a UserError for an unreadable log."""
-        return self._views.results([(path, self._folders.version_of_log(path)) for path in logs], patience_s)
+        return self._views.results([(path, version_of_log(path)) for path in logs], patience_s)
 
-    def _view(self, log: Location, version: str) -> DriveView:
-        def read() -> DriveView:
-            self._folders.refuse_unanswered(log)
-            return _read(log)
-
-        return self._cache.struct(f"drive 4 {absolute(log)} {version}", DriveView, read)
+    def _view(self, log: Path, version: str) -> DriveView:
+        return self._cache.struct(f"drive 4 {real_path(log)} {version}", DriveView, lambda: _read(log))
 
 
-def _read(path: Location) -> DriveView:
+def _read(path: Path) -> DriveView:
     with Log(path) as log:
         states = log.vehicle()
         rows, time_ns, mph = (states[name].to_numpy() for name in ("row", "log_time_ns", "speed_mph"))

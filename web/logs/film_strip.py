@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import cv2
@@ -27,10 +26,8 @@ def film_strip(log: Log) -> bytes:
     strip = np.full((HEIGHT_PX, PICTURES * WIDTH_PX, 3), _NO_PICTURE, np.uint8)
     by_camera = (log.pictures(camera_topic(camera)) for camera in CAMERAS)
     pictures = next((pictures for pictures in by_camera if len(pictures.sequence)), None)
-    with ThreadPoolExecutor(PICTURES) as pool:  # each is a request, if the log is in a store
-        shares = [(number + 0.5) / PICTURES for number in range(PICTURES)]
-        thumbnails = list(pool.map(lambda share: _thumbnail(log, pictures, share), shares))
-    for number, thumbnail in enumerate(thumbnails):
+    for number in range(PICTURES):
+        thumbnail = _thumbnail(log, pictures, (number + 0.5) / PICTURES)
         left = number * WIDTH_PX
         if thumbnail is None:
             corners = (left + 8, 8), (left + WIDTH_PX - 8, HEIGHT_PX - 8)

@@ -7,16 +7,15 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
+from pathlib import Path
 from typing import Final
 
 from common.car import CAMERAS, Camera
-from common.location import Location, Url
-from recorder import Log, LogError
-from recorder.log.kept_logs import read_kept
+from recorder import Log
 from recorder.log.road_places import states_of
 from recorder.rows.row_quality import States
 from recorder.topics import camera_topic
-from web.folders.project_folders import ProjectFolders
+from web.folders.file_versions import version_of
 
 MAX_OPEN: Final = 8
 MAX_MESSAGES: Final = 500_000
@@ -26,20 +25,12 @@ MAX_MESSAGES: Final = 500_000
 class OpenLog:
     """An open log with the data that several requests need."""
 
-    def __init__(self, path: Location, version: str) -> None:
+    def __init__(self, path: Path, version: str) -> None:
         self.log = Log(path)
         self.version = version
-        """The version of the file, by `ProjectFolders.version_of`."""
+        """The version of the file, by `version_of`."""
         self.messages = sum(self.log.counts.values())
         self.users = 0
-        if isinstance(path, Url):  # now, because a page's requests would each ask the store for the same
-            try:
-                with contextlib.suppress(LogError, OSError):  # raised again where its rows are used
-                    read_kept(self.log)
-                    _ = self.states
-            except BaseException:
-                self.log.close()
-                raise
 
     @cached_property
     def states(self) -> States:
@@ -56,16 +47,15 @@ class OpenLogs:
     """The logs used last. A dropped log is closed when no request uses it any more: otherwise another file might
     get its descriptor's number during a read."""
 
-    def __init__(self, folders: ProjectFolders) -> None:
-        self._folders = folders
+    def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: OrderedDict[Location, OpenLog] = OrderedDict()
-        self._opening: dict[Location, threading.Lock] = {}
+        self._kept: OrderedDict[Path, OpenLog] = OrderedDict()
+        self._opening: dict[Path, threading.Lock] = {}
 
     @contextlib.contextmanager
-    def open(self, path: Location) -> Iterator[OpenLog]:
-        """The log at a path. Raises LogError if it cannot be read, StoreError."""
-        version = self._folders.version_of(path)
+    def open(self, path: Path) -> Iterator[OpenLog]:
+        """The log at a path. Raises LogError if it cannot be read."""
+        version = version_of(path)
         with self._lock:
             opening = self._opening.setdefault(path, threading.Lock())
         with opening:  # simultaneous requests get the same log
@@ -78,7 +68,7 @@ class OpenLogs:
                 if not opened.users and self._kept.get(path) is not opened:
                     opened.log.close()
 
-    def _used(self, path: Location, version: str) -> OpenLog | None:
+    def _used(self, path: Path, version: str) -> OpenLog | None:
         """The open log, with one more user; None if it is not open."""
         with self._lock:
             opened = self._kept.get(path)
@@ -90,8 +80,7 @@ class OpenLogs:
                 opened.users += 1
         return opened
 
-    def _opened(self, path: Location, version: str) -> OpenLog:
-        self._folders.refuse_unanswered(path)
+    def _opened(self, path: Path, version: str) -> OpenLog:
         opened = OpenLog(path, version)
         with self._lock:
             self._kept[path] = opened
@@ -106,7 +95,7 @@ class OpenLogs:
     def drop_changed(self) -> None:
         """Close the logs whose files were deleted or replaced: an open file takes space on the disk."""
         with self._lock:
-            versions = {path: self._folders.version_of(path) for path in self._kept}
+            versions = {path: version_of(path) for path in self._kept}
             for path in [path for path, kept in self._kept.items() if kept.version != versions[path]]:
                 self._drop(path)
 
@@ -115,7 +104,7 @@ class OpenLogs:
             for path in list(self._kept):
                 self._drop(path)
 
-    def _drop(self, path: Location) -> None:
+    def _drop(self, path: Path) -> None:
         dropped = self._kept.pop(path)
         if not dropped.users:
             dropped.log.close()

@@ -7,14 +7,12 @@ from pathlib import Path
 
 from common.car import CAMERAS
 from common.files import session_name
-from common.location import location
+from common.location import absolute
 from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from recorder import Log
-from recorder.log.kept_logs import bring_here
 from recorder.topics import camera_topic
 from web.errors import WebError
-from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork
 from web.processes.own_process import report, run_in_process
 
@@ -43,7 +41,7 @@ class PictureChecks:
     def start(self, log: Log) -> None:
         """Start a check, unless it is running."""
         pictures = sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS)
-        self.work.start(log.fingerprint, pictures, [as_word(log.path), log.fingerprint])
+        self.work.start(log.fingerprint, pictures, [str(absolute(log.path)), log.fingerprint])
 
 
 def main() -> None:
@@ -58,9 +56,8 @@ def _check(path: str, fingerprint: str, result: str) -> None:
         pictures += count
         report(pictures=pictures)
 
-    with Log(location(path)) as log:
+    with Log(Path(path)) as log:
         if log.fingerprint != fingerprint:
             raise WebError("the log has been replaced since this page was opened: reload it")
-        bring_here([log])
         findings = check_images(log, on_decoded)
     write_image_check(Path(result).parent, fingerprint, fingerprint, findings)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -16,22 +16,28 @@ import msgspec
 import pyarrow.compute as pc
 
 from common import UserError
-from common.errors import StoreError, printable
+from common.errors import printable
 from common.files import session_name
-from common.location import Location, absolute
 from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
 from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
 from dataset.parquet_file import read_metadata
 from recorder import Log
-from recorder.log.known_lag import lag_path
 from recorder.log.tags import Tag, TaggedRows, tags_by_content, tags_path
 from recorder.upkeep.log_info import LogInfo, describe
 from web.folders.background import Background
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import Newest, version_of
-from web.folders.project_folders import PLACES, Place, ProjectFolders, is_recording, key_of, shown_name
+from web.folders.project_folders import (
+    PLACES,
+    Place,
+    ProjectFolders,
+    is_recording,
+    key_of,
+    shown_name,
+    version_of_log,
+)
 
 _TAGS_KEPT: Final = 10_000  # of so many logs, in memory
 
@@ -87,7 +93,7 @@ class SessionCard:
     """A log in the list. `info` is None until it is read, and if it is unreadable (`problem`)."""
 
     key: str
-    path: Location
+    path: Path
     version: str
     info: LogInfo | None
     problem: str
@@ -132,12 +138,12 @@ class SessionCard:
 class SessionCards:
     """The cards of all logs of a folder. Threads read them, and the cache keeps them."""
 
-    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pools: Mapping[Place, Executor]) -> None:
+    def __init__(self, folders: ProjectFolders, cache: CacheFolder, pool: Executor) -> None:
         self._folders = folders
         self._cache = cache
-        self._glances = {place: Background[Location, Glance](pools[place], self._glance) for place in PLACES}
-        self._shares = {place: Background[Path, Share](pools[place], self._share) for place in PLACES}
-        self._tags = Newest[Location, FileTags](_TAGS_KEPT)
+        self._glances = {place: Background(pool, self._glance) for place in PLACES}
+        self._shares = {place: Background(pool, self._share) for place in PLACES}
+        self._tags = Newest[FileTags](_TAGS_KEPT)
 
     @property
     def done(self) -> int:
@@ -147,7 +153,7 @@ class SessionCards:
     def cards(self, place: Place, patience_s: float | None) -> list[SessionCard]:
         """The cards of all logs in a folder, by name. Those not read within `patience_s` have no `info` yet."""
         logs = self._read(place, patience_s)
-        index = self._folders.local_index
+        index = self._folders.index
         state = read_state(index)
         frames = {path: index / FRAMES_FOLDER / f"{session_name(path)}.parquet" for path, _, _ in logs}
         indexed = [frames[path] for path in frames if session_name(path) in state.logs]
@@ -164,50 +170,31 @@ class SessionCards:
             for path, _, glance in self._read(place, patience_s)
         }
 
-    def _read(
-        self, place: Place, patience_s: float | None
-    ) -> list[tuple[Location, str, Glance | UserError | None]]:
+    def _read(self, place: Place, patience_s: float | None) -> list[tuple[Path, str, Glance | UserError | None]]:
         """Each log of a folder, its version, and what was read of it within `patience_s`."""
-        versions = [(path, self._folders.version_of_log(path)) for path in self._folders.logs(place).values()]
+        versions = [(path, version_of_log(path)) for path in self._folders.logs(place).values()]
         glances = self._glances[place].results(versions, patience_s)
         return [(path, version, glances.get(path)) for path, version in versions]
 
-    def info(self, path: Location) -> LogInfo:
-        """The description of a log; if it is in a store, from the cache. Raises LogError, StoreError."""
-        if isinstance(path, Path):
-            return describe(path, with_tags=False)
-        info = self._glance(path, self._folders.version_of_log(path)).info
-        is_measured_since = info.lacks_lag and self._folders.stat(lag_path(path)) is not None
-        return describe(path, with_tags=False) if is_measured_since else info
+    def info(self, path: Path) -> LogInfo:
+        """The description of a log. Raises LogError."""
+        return describe(path, with_tags=False)
 
-    def tags(self, path: Location, fingerprint: str) -> FileTags:
-        """The tags of this content of a log. Raises LogError for a damaged file, StoreError."""
-        version = self._folders.version_of(tags_path(path))
+    def tags(self, path: Path, fingerprint: str) -> FileTags:
+        """The tags of this content of a log. Raises LogError for a damaged file."""
+        version = version_of(tags_path(path))
 
         def parse() -> FileTags:
-            by_content = self._tags_by_content(path, version)
+            by_content = tags_by_content(path)
             tags = sorted(by_content.pop(fingerprint, ()))
             return FileTags(version, tags, sum(map(len, by_content.values())))
 
         return self._tags.get(path, f"{version} {fingerprint}", parse)
 
-    def _tags_by_content(self, path: Location, version: str) -> dict[str, set[Tag]]:
-        if isinstance(path, Path):
-            return tags_by_content(path)
-        if self._folders.stat(tags_path(path)) is None:
-            return {}
-        self._folders.refuse_unanswered(path)
-        key = f"tags 1 {path} {version}"
-        return self._cache.struct(key, dict[str, set[Tag]], lambda: tags_by_content(path))
-
-    def _card(
-        self, path: Location, version: str, glance: Glance | UserError | None, index: InIndex
-    ) -> SessionCard:
+    def _card(self, path: Path, version: str, glance: Glance | UserError | None, index: InIndex) -> SessionCard:
         problem, tags_problem, tags = "", "", list[Tag]()
         is_growing = is_recording(path)
-        if isinstance(glance, StoreError):
-            tags_problem, glance = printable(str(glance)), None  # the log may be whole
-        elif isinstance(glance, UserError):
+        if isinstance(glance, UserError):
             # the first rows of a recording may not be on the disk yet
             problem = "" if is_growing and _is_empty(path) else printable(str(glance))
             glance = None
@@ -231,21 +218,17 @@ class SessionCards:
             is_recording=is_growing,
         )
 
-    def _glance(self, path: Location, version: str) -> Glance:
-        def read() -> Glance:
-            self._folders.refuse_unanswered(path)
-            return _read_glance(path)
+    def _glance(self, path: Path, version: str) -> Glance:
+        return self._cache.struct(f"glance 3 {real_path(path)} {version}", Glance, lambda: _read_glance(path))
 
-        return self._cache.struct(f"glance 3 {absolute(path)} {version}", Glance, read)
-
-    def _in_index(self, path: Location, state: BuildState, share: Share | UserError | None) -> InIndex:
+    def _in_index(self, path: Path, state: BuildState, share: Share | UserError | None) -> InIndex:
         session = session_name(path)
         built = state.logs.get(session)
         if built is None:
             return InIndex(IndexState.PASSED_OVER if session in state.passed_over else IndexState.MISSING)
-        if built.sources[0] != str(absolute(path)):
+        if built.sources[0] != str(real_path(path)):
             return InIndex(IndexState.MISSING, "the index has another log of that name")
-        sources = sources_of(session, path, self._folders.local_index, self._folders.stat)
+        sources = sources_of(session, path, self._folders.index)
         if built.sources != sources:
             are_tags = _without_tags(built.sources) == _without_tags(sources)
             if are_tags and share is None:
@@ -258,7 +241,7 @@ class SessionCards:
             return InIndex(IndexState.INDEXED, printable(str(share)))
         return InIndex(IndexState.INDEXED, "", share.frames if share else {})
 
-    def _has_tags_of(self, share: Share | UserError | None, path: Location, fingerprint: str) -> bool:
+    def _has_tags_of(self, share: Share | UserError | None, path: Path, fingerprint: str) -> bool:
         """Whether the tags of a log are the same as in the index, even if their file has changed."""
         if not isinstance(share, Share):
             return False
@@ -283,14 +266,14 @@ def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
     return counts
 
 
-def _is_empty(path: Location) -> bool:
+def _is_empty(path: Path) -> bool:
     try:
-        return isinstance(path, Path) and path.stat().st_size == 0
+        return path.stat().st_size == 0
     except OSError:  # just finished, and renamed
         return False
 
 
-def _read_glance(path: Location) -> Glance:
+def _read_glance(path: Path) -> Glance:
     with Log(path) as log:
         info = describe(log, with_tags=False, with_kept_lag=False)  # tags and lag change without the log
         info = dataclasses.replace(info, path="", notice=printable(info.notice))  # a path may be invalid text

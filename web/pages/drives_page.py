@@ -33,7 +33,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
         cards = bench.cards.cards("drives", _PATIENCE_S)
         runs = bench.folders.run_folders()
         drives: list[dict[str, Any]] = []
-        problems = list(filter(None, [bench.folders.problem("drives")]))
+        problems: list[str] = []
         for card in sorted(cards, key=lambda card: card.info.start if card.info else "", reverse=True):
             result = views.get(card.path)
             view = result if isinstance(result, DriveView) and card.info else None

@@ -49,7 +49,7 @@ def home_routes(bench: Workbench) -> list[Route]:
         live = {name: getattr(bench, f"{name}_version")() for name in ("sessions", "runs", "drives")}
         cards = {place: bench.cards.cards(place, _PATIENCE_S) for place in PLACES}
         runs = bench.runs.cards(_PATIENCE_S)
-        has_samples = (bench.folders.local_index / SAMPLES_NAME).exists()
+        has_samples = (bench.folders.index / SAMPLES_NAME).exists()
         recorded_s = sum(card.info.length_s for card in cards["sessions"] if card.info)
         return page(
             "home.html",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from starlette.routing import Route
 from common.errors import printable
 from common.files import publish
 from common.interrupts import uninterrupted
-from common.location import Url
 from common.untrusted import real_path, whole_number
 from recorder.log.tags import tags_path
 from recorder.session_names import plain_name
@@ -103,12 +103,10 @@ def import_routes(bench: Workbench) -> list[Route]:
         if log is None or not is_own_log(log):
             raise WebError(f"{path}: no such log in it; reload its page", 404)
         name, sessions = values.get("name", ""), bench.folders.sessions
-        if isinstance(sessions, Url):
-            raise WebError(f"copy it to the store: `bc-log copy {printable(str(log))} {sessions}`", 422)
         if not name or plain_name(name) != name:
             raise WebError(f"{printable(name)!r}: expected a plain name, such as {plain_name(name)}", 422)
         to = sessions / f"{name}.mcap"
-        if taken := [path for path in (to, tags_path(to)) if bench.folders.is_taken(path)]:
+        if taken := [path for path in (to, tags_path(to)) if os.path.lexists(path)]:
             raise WebError(f"{taken[0]}: exists already; give another name", 409)
         sessions.mkdir(parents=True, exist_ok=True)
         with uninterrupted():

@@ -45,14 +45,13 @@ def index_routes(bench: Workbench) -> list[Route]:
     def folder_of(request: Request) -> Path:
         """The index, or the requested trial."""
         trial = request.query_params.get("trial", "")
-        return bench.trials.get(trial) if trial else bench.folders.local_index
+        return bench.trials.get(trial) if trial else bench.folders.index
 
     def whole(request: Request) -> Response:
         values = dict(request.query_params)
         trial = values.pop("trial", "")
         live = bench.sessions_version()
-        store_problem = bench.folders.refresh_index()
-        index = bench.folders.local_index
+        index = bench.folders.index
         now, problem = _view(index)
         then, trial_problem = _view(bench.trials.get(trial)) if trial else (None, "")
         return page(
@@ -66,9 +65,9 @@ def index_routes(bench: Workbench) -> list[Route]:
             project_sessions=suggested_sessions(bench.folders),
             now=now,
             then=then,
-            is_missing=not (index / SAMPLES_NAME).exists() and not store_problem,
-            is_damaged=bool(problem) and not store_problem,
-            problem=store_problem or problem.replace(printable(str(index)), printable(str(bench.folders.index))),
+            is_missing=not (index / SAMPLES_NAME).exists(),
+            is_damaged=bool(problem),
+            problem=problem,
             trial_problem=trial_problem,
             stale=_stale(),
             headings=COUNT_HEADINGS,
@@ -83,12 +82,12 @@ def index_routes(bench: Workbench) -> list[Route]:
         names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
         with contextlib.suppress(UserError):
             logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
-            names |= set(map(printable, logs_not_indexed(bench.folders.local_index, logs, bench.folders.stat)))
+            names |= set(map(printable, logs_not_indexed(bench.folders.index, logs)))
         return sorted(names)
 
     def _runs() -> list[tuple[str, str]]:
         """The runs that were trained on the present index, and their pages."""
-        now = index_checksum(bench.folders.local_index)
+        now = index_checksum(bench.folders.index)
         runs = bench.folders.run_folders().items()
         return [(printable(path.name), f"/runs/{key}") for key, path in runs if origin_of(path).index == now]
 
@@ -114,8 +113,7 @@ def index_routes(bench: Workbench) -> list[Route]:
 
     def samples_of(trial: str, others: int) -> AlteredSamples:
         index = bench.trials.get(trial) if trial else bench.folders.index
-        local = index if isinstance(index, Path) else bench.folders.local_index
-        return altered_samples(index, version_of(local / SAMPLES_NAME), others, bench.cache)
+        return altered_samples(index, version_of(index / SAMPLES_NAME), others, bench.cache)
 
     def altered(request: Request) -> Response:
         trial, others = _chosen(request)
@@ -139,7 +137,7 @@ def index_routes(bench: Workbench) -> list[Route]:
     def try_settings(request: Request, values: Values) -> Response:
         form = form_of("index")
         form.words(values, bench.folders)  # raises an error before a folder is made
-        key, folder = bench.trials.new(bench.folders.local_index)
+        key, folder = bench.trials.new(bench.folders.index)
         words = form.words(values, dataclasses.replace(bench.folders, index=folder))
         kept = {name: value for name, value in values.items() if value and name != "form"}
         job = bench.jobs.start(words, f"/index?{urlencode({'trial': key, **kept})}")

@@ -4,6 +4,7 @@ steering that a run predicts."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
 from starlette.requests import Request
@@ -13,12 +14,12 @@ from starlette.routing import Route
 from common.car import CAMERAS, Camera
 from common.errors import printable
 from common.files import session_name
-from common.location import Location, absolute
+from common.untrusted import real_path
 from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
 from recorder.topics import camera_topic
 from web.errors import WebError, or_404
-from web.folders.project_folders import Place, is_recording, key_of
+from web.folders.project_folders import Place, is_recording, key_of, version_of_log
 from web.index.index_view import bins_of_index
 from web.logs.film_strip import film_strip
 from web.logs.open_logs import OpenLog
@@ -27,7 +28,7 @@ from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
 from web.runs.attention import attention_overlay
-from web.runs.run_configs import NETWORK_FILES, check_network, origin_of
+from web.runs.run_configs import check_network, origin_of
 from web.server.static_files import KEPT
 from web.server.templates import page
 
@@ -35,25 +36,25 @@ _JPEG_START: Final = b"\xff\xd8\xff"
 
 
 def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
-    def path_of(request: Request) -> Location:
+    def path_of(request: Request) -> Path:
         return bench.folders.log(place, request.path_params["log"])
 
     def cached(request: Request, kind: str, make: Callable[[OpenLog], bytes], media_type: str) -> Response:
         path = path_of(request)
-        version = bench.folders.version_of_log(path)
+        version = version_of_log(path)
 
         def made() -> bytes:
             with bench.logs.open(path) as opened:
                 return make(opened)
 
-        data = bench.cache.get(f"{kind} {absolute(path)} {version}", made)
+        data = bench.cache.get(f"{kind} {real_path(path)} {version}", made)
         return Response(data, media_type=media_type, headers=_kept(request, version))
 
     def strip(request: Request) -> Response:
         return cached(request, "strip 1", lambda opened: film_strip(opened.log), "image/jpeg")
 
     def sketch(request: Request) -> Response:
-        bins = bins_of_index(bench.folders.local_index)
+        bins = bins_of_index(bench.folders.index)
 
         def make(opened: OpenLog) -> bytes:
             return steering_sketch(opened.states.steering, bins)
@@ -71,8 +72,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         path, run = path_of(request), bench.folders.run(request.path_params["run"])
         with bench.logs.open(path) as opened:
             encoded = _picture(request, opened, "center")
-        bench.folders.bring_run(run, NETWORK_FILES)
-        data = attention_overlay(run, bench.folders.run_place(run), path, encoded)
+        data = attention_overlay(run, path, encoded)
         return Response(data, media_type="image/png")
 
     def links(request: Request) -> Response:
@@ -100,7 +100,6 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
                 raise WebError(
                     "the log has changed since this page was opened: choose the run again, or reload the page", 409
                 )
-            bench.folders.bring_run(run, NETWORK_FILES)
             key = bench.predictions.key(fingerprint, run)
 
             def about() -> Measured | None:
@@ -108,7 +107,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
                 return predicted.about if predicted else None
 
             def start() -> None:
-                check_network(run, path, bench.folders.run_place(run))
+                check_network(run, path)
                 pictures = len(opened.log.pictures(camera_topic("center")).sequence)
                 if not pictures:
                     raise WebError("this log has no picture of the centre camera, which the network needs", 422)

@@ -15,15 +15,16 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from common.files import PART_SUFFIX, session_name
-from common.location import absolute
+from common.untrusted import real_path
 from dataset.index.build_state import read_state
-from model.runs.run_files import CONFIG, WEIGHTS
+from model.runs.run_files import WEIGHTS
 from recorder.log.tags import Tag
 from web.errors import WebError, or_404
+from web.folders.file_versions import version_of
 from web.folders.project_folders import PLACES, key_of, shown_name
 from web.pages.workbench import Workbench
 from web.processes.picture_maps import MappedLog
-from web.runs.run_configs import NETWORK_FILES, can_be_run, check_network
+from web.runs.run_configs import can_be_run, check_network
 from web.server.templates import page
 
 _PIXELS: Final = "pixels"
@@ -79,12 +80,11 @@ def _place_and_key(address: str) -> tuple[Any, str]:
 
 
 def _runs(bench: Workbench) -> dict[str, Path]:
-    """The runs that have weights, the newest last; for a store, all runs."""
+    """The runs that have weights, the newest last."""
     times = {}
     for key, path in bench.folders.run_folders().items():
         with contextlib.suppress(OSError):
-            is_copy = bench.folders.run_place(path) != path
-            times[key] = (path / (CONFIG if is_copy else WEIGHTS)).stat().st_mtime, path
+            times[key] = (path / WEIGHTS).stat().st_mtime, path
     return {key: times[key][1] for key in sorted(times, key=lambda key: times[key])}
 
 
@@ -94,9 +94,8 @@ def _logs_and_run(bench: Workbench, query: QueryParams) -> tuple[list[MappedLog]
     name = query.get("run", _PIXELS)
     run = None if name == _PIXELS else bench.folders.run(name)
     if run is not None:
-        bench.folders.bring_run(run, NETWORK_FILES)
         first = logs[0].path if logs else bench.folders.sessions
-        check_network(run, first, bench.folders.run_place(run))
+        check_network(run, first)
     return logs, run
 
 
@@ -111,12 +110,11 @@ def _log(bench: Workbench, address: str) -> MappedLog:
 
 def _indexed_logs(bench: Workbench) -> list[MappedLog]:
     """The logs of the index, with the fingerprints that the index has."""
-    bench.folders.refresh_index()
-    built = read_state(bench.folders.local_index).logs
+    built = read_state(bench.folders.index).logs
     logs = []
     for path in bench.folders.logs("sessions").values():
         entry = built.get(session_name(path))
-        if entry is not None and entry.fingerprint and entry.sources[0] == str(absolute(path)):
+        if entry is not None and entry.fingerprint and entry.sources[0] == str(real_path(path)):
             logs.append(MappedLog(f"/sessions/{key_of(path)}", path, entry.fingerprint))
     return logs
 
@@ -129,7 +127,7 @@ def _log_data(bench: Workbench, log: MappedLog) -> dict[str, object]:
     return {
         "at": log.at,
         "name": shown_name(log.path),
-        "version": bench.folders.version_of(log.path),
+        "version": version_of(log.path),
         "fingerprint": log.fingerprint,
         "tags": tags,
     }

@@ -25,7 +25,7 @@ from model.config import TrainConfig
 from model.runs.network_of_run import is_own_network
 from model.runs.run_config import load_config
 from web.errors import WebError, or_404
-from web.folders.project_folders import PLACES, as_word, key_of
+from web.folders.project_folders import PLACES, key_of
 from web.jobs.job_forms import in_one_field
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
@@ -86,7 +86,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             "run.html",
             live=live,
             card=card,
-            path=printable(str(bench.folders.run_place(path))),
+            path=printable(str(path)),
             summary=card.summary,
             job=bench.jobs.training(f"/runs/{key}"),
             progress=progress_of(bench, card),
@@ -95,7 +95,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             not_as_before=_not_as_before(bench, card, config) if again and config else "",
             settings=settings_of(config) if config is not None else {},
             sessions=_sessions(pages, card),
-            is_of_index=_is_of_index(path, bench.folders.local_index),
+            is_of_index=_is_of_index(path, bench.folders.index),
             results=_results(pages, card),
             drives=[
                 (drive.name, f"/drives/{drive.key}")
@@ -180,7 +180,7 @@ def _not_as_before(bench: Workbench, card: RunCard, config: Mapping[str, Any]) -
         elif now[session] and isinstance(log, dict) and log.get("fingerprint", now[session]) != now[session]:
             reasons.append(f"{printable(session)} has changed")
     if not reasons and not _is_on(config, card):
-        index = index_checksum(bench.folders.local_index)
+        index = index_checksum(bench.folders.index)
         return "the index is another one" if index not in ("", origin_of(card.path).index) else ""
     return ", ".join(reasons[:_MAX_REASONS]) + ", and others" * (len(reasons) > _MAX_REASONS)
 
@@ -204,7 +204,7 @@ def _takeovers(bench: Workbench, sessions: Sequence[str], init: str) -> str:
     earlier = next((card.summary for card in bench.runs.cards(PATIENCE_S) if card.name == init), None)
     if earlier is None:
         return ""
-    drives = {log.name.removesuffix(".mcap"): as_word(log) for log in bench.folders.logs("drives").values()}
+    drives = {log.name.removesuffix(".mcap"): str(log.absolute()) for log in bench.folders.logs("drives").values()}
     added = [drives.get(name, "") for name in sessions if name not in earlier.sessions]
     return in_one_field(added) if all(added) else ""
 
@@ -222,7 +222,7 @@ def _sessions(pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str]]:
 def _scatter_logs(bench: Workbench, pages: Mapping[str, str], card: RunCard) -> list[tuple[str, str, str]]:
     """The logs that a run may predict, those that it learnt from first: name, address, and the address of the
     held-out rows, "" if they are unknown."""
-    is_of_index = _is_of_index(card.path, bench.folders.local_index)
+    is_of_index = _is_of_index(card.path, bench.folders.index)
     learnt = {address: name for name, address in _sessions(pages, card) if address}
     logs = [(name, at, f"/index/{at.split('/')[-1]}/held-out" * is_of_index) for at, name in learnt.items()]
     for place in PLACES:

@@ -50,7 +50,6 @@ def run_list_routes(bench: Workbench) -> list[Route]:
             compare=dict(zip("ab", chosen, strict=False)),
             driven=driven_words,
             folder=printable(str(bench.folders.runs)),
-            problem=bench.folders.runs_problem,
             **_differences(chosen.values()),
         )
 

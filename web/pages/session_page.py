@@ -17,21 +17,21 @@ from starlette.routing import Route
 from common import UserError
 from common.car import CAMERAS
 from common.errors import printable
-from common.location import Location
 from common.stretches import stretches
 from recorder import Log, LogError
 from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
-from recorder.log.tags import EXCLUDE, tags_path
+from recorder.log.tags import EXCLUDE, names_used, tags_path
 from recorder.rows.condition import log_columns, rows_where
+from web.folders.file_versions import version_of
 from web.folders.project_folders import Place, is_recording, key_of, shown_name
-from web.jobs.log_jobs import NewLogForm, command_line, jobs_for, log_job
+from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
 from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
 from web.logs.drive_view import drive_events
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.request_values import Values, on_form
-from web.pages.tagging import TagChange, change_tags, on_change, tag_names
+from web.pages.tagging import TagChange, change_tags, on_change
 from web.pages.workbench import Workbench
 from web.server.templates import command_answer, page, problem_answer
 
@@ -39,7 +39,7 @@ _COLUMNS: Final = ("row", "time_s", "steering", "throttle", "brake", "speed_mph"
 
 
 def session_routes(bench: Workbench, place: Place) -> list[Route]:
-    def path_of(request: Request) -> Location:
+    def path_of(request: Request) -> Path:
         return bench.folders.log(place, request.path_params["log"])
 
     def whole(request: Request) -> Response:
@@ -64,18 +64,17 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def version(request: Request) -> Response:
         """The versions of the log, its tags and its lag. A page loads what has changed."""
-        bench.folders.refresh(place)
         bench.logs.drop_changed()
         path = path_of(request)
         is_growing = is_recording(path)
         files = {"log": path, "tags": tags_path(path), "lag": lag_path(path)}
-        versions = {name: bench.folders.version_of(file) for name, file in files.items()}
-        return JSONResponse(versions | {"growing": is_growing, "problem": bench.folders.problem(place)})
+        versions = {name: version_of(file) for name, file in files.items()}
+        return JSONResponse(versions | {"growing": is_growing})
 
     def state(request: Request) -> Response:
         path = path_of(request)
         with bench.logs.open(path) as opened:
-            return JSONResponse(_state(bench, opened))
+            return JSONResponse(_state(bench, path, opened))
 
     def rows(request: Request) -> Response:
         """The `columns` of the state as float64, one after the other."""
@@ -115,7 +114,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def names(request: Request) -> Response:
         """The names of tags in this folder."""
-        return JSONResponse(sorted(tag_names(bench, place, path_of(request))))
+        return JSONResponse(sorted(names_used(path_of(request).parent)))
 
     def change(request: Request, requested: TagChange) -> dict[str, object]:
         return change_tags(bench, place, path_of(request), requested)
@@ -126,7 +125,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
         job = log_job(request.path_params["job"])
         form = _form_of(request.query_params)
         try:
-            words, _ = command_line(job, log, form, bench.folders.logs(place), bench.folders)
+            words, _ = command_line(job, log, form, bench.folders.logs(place))
         except UserError as error:
             return problem_answer(error)
         return command_answer(words)
@@ -134,7 +133,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     def make(request: Request, values: Values) -> Response:
         log = path_of(request)
         job = log_job(request.path_params["job"])
-        words, made = command_line(job, log, _form_of(values), bench.folders.logs(place), bench.folders)
+        words, made = command_line(job, log, _form_of(values), bench.folders.logs(place))
         address = f"/{place}/{key_of(made)}" if made is not None else ""
         started = bench.jobs.start(words, address)
         return RedirectResponse(f"/jobs/{started.key}", status_code=303)
@@ -155,7 +154,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
     ]
 
 
-def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
+def _state(bench: Workbench, path: Path, opened: OpenLog) -> dict[str, object]:
     """The data of a log, without its rows and tags. `course` is None for a log without commands and poses."""
     log, states = opened.log, opened.states
     findings = bench.checks.findings(log)
@@ -165,7 +164,7 @@ def _state(bench: Workbench, opened: OpenLog) -> dict[str, object]:
         "columns": [*_COLUMNS, *COLUMNS] if has_course else _COLUMNS,
         "course": {"events": events, "road": road_of(log)} if has_course else None,
         "version": opened.version,
-        "lag": bench.folders.version_of(lag_path(log.path)),
+        "lag": version_of(lag_path(path)),
         "fingerprint": log.fingerprint,
         "rows": len(states.row),
         "cameras": opened.cameras,
@@ -185,14 +184,14 @@ def _max_steering_deg(log: Log) -> float | None:
     return None
 
 
-def _shown_log_jobs(log: Location) -> list[dict[str, Any]]:
+def _shown_log_jobs(log: Path) -> list[dict[str, Any]]:
     """The jobs that the page of a log offers, with the default names of new logs."""
     return [
         {
             "job": job,
-            "new": shown_name(job.made(log)) if job.made and job.is_named and isinstance(log, Path) else "",
+            "new": shown_name(job.made(log)) if job.made and job.is_named else "",
         }
-        for job in jobs_for(log)
+        for job in LOG_JOBS
     ]
 
 

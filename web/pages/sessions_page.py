@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -13,7 +14,6 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from common.location import Location
 from recorder.log_list_cli import SORTED_BY
 from recorder.rows.causes import CAUSES, PLAIN
 from web.errors import WebError
@@ -118,8 +118,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
             query=query,
             listed=list_sessions(bench, query),
             folder=printable(str(bench.folders.sessions)),
-            bins=bins_of_index(bench.folders.local_index),
-            problem=bench.folders.problem("sessions"),
+            bins=bins_of_index(bench.folders.index),
         )
 
     def stretches(request: Request) -> Response:
@@ -170,7 +169,7 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
     searched: int | None = None
     problem = ""
     if query.where:
-        readable: dict[Location, SessionCard] = {card.path: card for card in chosen if not card.problem}
+        readable: dict[Path, SessionCard] = {card.path: card for card in chosen if not card.problem}
         try:
             counts = bench.searches.rows(query.where, list(readable), patience_s)
         except UserError as error:

@@ -13,8 +13,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from common.errors import did_you_mean, printable
-from common.location import Location
-from recorder.log.tags import EXCLUDE, FINE, Tag, add_tags, check_name, names_used, remove_tags, tags_path
+from recorder.log.tags import Tag, add_tags, check_name, names_used, remove_tags
 from recorder.upkeep.edit import check_rows
 from web.errors import WebError
 from web.folders.project_folders import Place
@@ -59,9 +58,9 @@ async def _json_of(request: Request, kind: type[Change]) -> Change:
         raise WebError(f"not a change of tags: {error}", 422) from None
 
 
-def change_tags(bench: Workbench, place: Place, path: Location, change: TagChange) -> dict[str, object]:
+def change_tags(bench: Workbench, place: Place, path: Path, change: TagChange) -> dict[str, object]:
     """Make all of a change, or nothing. Return the changed stretches, and the commands that do the same. Raises
-    WebError, LogError, StoreError."""
+    WebError, LogError."""
     try:
         check_name(as_argument(change.name))
     except ValueError as error:
@@ -81,22 +80,13 @@ def change_tags(bench: Workbench, place: Place, path: Location, change: TagChang
     tags = [tag for tag in requested if (tag in before) != is_add]
     if not tags:
         return {"changed": [], "commands": [], "notice": ""}
-    notice = _notice(change.name, before, tag_names(bench, place, path)) if is_add else ""
+    notice = _notice(change.name, before, names_used(path.parent)) if is_add else ""
     (add_tags if is_add else remove_tags)(path, change.log, tags)
-    bench.folders.refresh_object(tags_path(path))
     return {
         "changed": [tag[:2] for tag in tags],
         "commands": [_command(path, tag, change.action) for tag in tags],
         "notice": notice,
     }
-
-
-def tag_names(bench: Workbench, place: Place, path: Location) -> set[str]:
-    """The names of tags in the folder of a log, always with EXCLUDE and FINE. In a store, only names of logs that
-    were read so far: each file of tags would be a request."""
-    if isinstance(path, Path):
-        return names_used(path.parent)
-    return {EXCLUDE, FINE}.union(*(card.tags for card in bench.cards.cards(place, 0)))
 
 
 def _notice(name: str, tags: set[Tag], names: set[str]) -> str:
@@ -106,6 +96,6 @@ def _notice(name: str, tags: set[Tag], names: set[str]) -> str:
     return f"new tag {name!r}. {did_you_mean(name, names)}".strip()
 
 
-def _command(path: Location, tag: Tag, action: Action) -> str:
+def _command(path: Path, tag: Tag, action: Action) -> str:
     words = ["bc-log", "tag", str(path), tag.name, "--rows", str(tag.first_row), str(tag.last_row)]
     return printable(shlex.join([*words, "--remove"] if action == "remove" else words))

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from common.location import Url
 from dataset.index.build_state import STATE_NAME
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
-from web.folders.project_folders import PLACES, ProjectFolders
+from web.folders.project_folders import ProjectFolders
 from web.index.index_trials import IndexTrials
 from web.jobs.jobs import Jobs
 from web.logs.drive_view import DriveViews
@@ -27,27 +25,22 @@ from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers
 from web.runs.run_cards import RunCards
 
-_STORE_THREADS: Final = 8
-
 
 class Workbench:
     """The shared objects of a server. They can be built anew from the folders."""
 
     def __init__(self, folders: ProjectFolders, cache: Path) -> None:
         pool = ThreadPoolExecutor(1, "reading logs")
-        # a store takes long for every answer, so several logs are read at a time
-        from_stores = ThreadPoolExecutor(_STORE_THREADS, "reading from stores")
-        pools = {place: from_stores if isinstance(getattr(folders, place), Url) else pool for place in PLACES}
-        self._pools = pool, from_stores
+        self._pool = pool
         self.folders = folders
         self.cache = CacheFolder(cache)
         pool.submit(self.cache.tidy)
-        self.logs = OpenLogs(folders)
-        self.cards = SessionCards(folders, self.cache, pools)
+        self.logs = OpenLogs()
+        self.cards = SessionCards(folders, self.cache, pool)
         self.cards.cards("sessions", 0)  # starts to read them before the first request
-        self.drives = DriveViews(folders, self.cache, pools["drives"])
-        self.searches = WhereSearches(folders, pools["sessions"])
-        self.checks = PictureChecks(folders.local_index, cache)
+        self.drives = DriveViews(self.cache, pool)
+        self.searches = WhereSearches(folders, pool)
+        self.checks = PictureChecks(folders.index, cache)
         self.runs = RunCards(folders)
         self.jobs = Jobs(cache)
         self.trials = IndexTrials(cache)
@@ -57,8 +50,7 @@ class Workbench:
 
     def sessions_version(self) -> str:
         """A text that changes with the logs, their tags and the index, and when another log has been read."""
-        self.folders.refresh_index()
-        built = version_of(self.folders.local_index / STATE_NAME)
+        built = version_of(self.folders.index / STATE_NAME)
         return f"{self.folders.version_of_folder('sessions')} {built} {self.cards.done + self.searches.done}"
 
     def runs_version(self) -> str:
@@ -73,8 +65,7 @@ class Workbench:
         self.predictions.work.close()
         self.maps.work.close()
         self.checks.work.close()
-        for pool in self._pools:
-            pool.shutdown(cancel_futures=True)
+        self._pool.shutdown(cancel_futures=True)
         self.runs.close()
         self.logs.close()
 

@@ -20,16 +20,13 @@ from numpy.typing import NDArray
 
 from common import UserError
 from common.errors import printable
-from common.location import Location, location
 from dataset.loader.log_crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
-from recorder.log_copy_cli import brought_here
 from recorder.rows.causes import CAUSES
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import States
 from web.errors import WebError
-from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork, run_fingerprint, write_result
 from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
 from web.processes.own_process import counter, report, run_in_process
@@ -60,7 +57,7 @@ class MappedLog:
     """A log whose pictures are shown."""
 
     at: str  # its address: /sessions/KEY
-    path: Location
+    path: Path
     fingerprint: str
 
 
@@ -86,7 +83,7 @@ class PictureMaps:
 
     def start(self, key: str, logs: Sequence[MappedLog], run: Path | None) -> None:
         """Start it, unless it is waiting or running."""
-        pairs = [word for log in logs for word in (log.fingerprint, as_word(log.path))]
+        pairs = [word for log in logs for word in (log.fingerprint, str(log.path.absolute()))]
         self.work.start(key, 0, [str(MAX_POINTS), str(run.absolute()) if run else "", *pairs])
 
 
@@ -105,7 +102,7 @@ def _work(max_points: str, run: str, *words: str) -> None:
     step = max(1, -(-total // int(max_points)))
     shown = 0
     for number, (fingerprint, log) in enumerate(logs):
-        with _skipped_if(notes, len(logs) > 1), brought_here([location(log)]) as (path,), LogCrops(path) as crops:
+        with _skipped_if(notes, len(logs) > 1), LogCrops(Path(log)) as crops:
             for part in _parts(crops, fingerprint, step, reader):
                 parts.append({**part, "log": np.full(len(part["row"]), number)})
                 shown += len(part["row"])
@@ -144,7 +141,7 @@ def _skipped_if(notes: list[str], is_one_of_several: bool) -> Iterator[None]:
 
 def _pictures(log: str) -> int:
     try:
-        with brought_here([location(log)]) as (path,), LogCrops(path) as crops:
+        with LogCrops(Path(log)) as crops:
             return len(crops)
     except UserError:  # reported when its pictures are read
         return 0

@@ -17,10 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import printable
-from common.location import Location, location
-from recorder.log_copy_cli import brought_here
 from web.errors import WebError
-from web.folders.project_folders import as_word
 from web.processes.kept_work import KeptWork, run_fingerprint, write_result
 from web.processes.own_process import counter, run_in_process
 
@@ -86,9 +83,9 @@ class Predictions:
         """The prediction of a key; None if it is not kept."""
         return self.work.find(key, _predicted)
 
-    def start(self, key: str, log: Location, log_fingerprint: str, run: Path, pictures: int) -> None:
+    def start(self, key: str, log: Path, log_fingerprint: str, run: Path, pictures: int) -> None:
         """Start it, unless it is waiting or running."""
-        self.work.start(key, pictures, [as_word(log), str(run.absolute()), log_fingerprint])
+        self.work.start(key, pictures, [str(log.absolute()), str(run.absolute()), log_fingerprint])
 
 
 def _predicted(kept: Mapping[str, NDArray[Any]]) -> Predicted:
@@ -105,8 +102,7 @@ def _work(log: str, run: str, fingerprint: str, result: str) -> None:
     from model.evaluation.predict_log import predict_log
     from model.metrics import measure
 
-    with brought_here([location(log)]) as (path,):
-        predictions = predict_log(path, [Path(run)], on_batch=counter(BATCH))
+    predictions = predict_log(Path(log), [Path(run)], on_batch=counter(BATCH))
     if predictions.about["log_fingerprint"] != fingerprint:
         raise WebError("the log has been replaced since this page was opened: reload it")
     [(name, predicted)] = predictions.predicted.items()

@@ -24,12 +24,9 @@ from typing import BinaryIO, Final
 
 from common import Skipped, UserError
 from common.errors import printable
-from common.location import Location, Url, location
 from common.versions import package_line, version_of
-from recorder.log_copy_cli import brought_here
 from web.errors import WebError, or_404
 from web.folders.cache_folder import CacheFolder
-from web.folders.project_folders import as_word
 from web.processes.own_process import report, reports, run_in_process, start_process
 
 MAX_OPEN: Final = 2
@@ -48,20 +45,18 @@ _BLOCK_BYTES: Final = 1 << 18
 class RerunViewer:
     """An open log, and the process that writes its recording."""
 
-    def __init__(self, log: Location, *, is_growing: bool) -> None:
+    def __init__(self, log: Path, *, is_growing: bool) -> None:
         """Raises WebError if the process cannot be started."""
         self.key = secrets.token_hex(8)
         self.notes: list[str] = []
         """Messages about the log, such as skipped messages."""
         self.problem = ""
         """Why the log is closed; empty while it is open."""
-        if isinstance(log, Url):
-            self.notes.append("the log is being copied from its store")
         try:
             self._temporary = tempfile.TemporaryDirectory(prefix="bc-web-", ignore_cleanup_errors=True)
             self._folder = Path(self._temporary.name) / "recording"
             self._folder.mkdir()
-            words = [as_word(log), str(self._folder / "log.rrd"), "growing" if is_growing else "finished"]
+            words = [str(log.absolute()), str(self._folder / "log.rrd"), "growing" if is_growing else "finished"]
             self._process = start_process("web.processes.rerun_viewers", words, self._temporary.name)
         except OSError as error:
             raise WebError(f"Rerun cannot be started: {error.strerror}", 500) from None
@@ -134,7 +129,7 @@ class RerunViewers:
         self._open: dict[str, RerunViewer] = {}  # the oldest first
         self._closing = ThreadPoolExecutor(thread_name_prefix="rerun ends")
 
-    def open(self, log: Location, *, is_growing: bool) -> RerunViewer:
+    def open(self, log: Path, *, is_growing: bool) -> RerunViewer:
         """Open a log. Raises WebError if Rerun is not installed or does not start."""
         if find_spec("rerun") is None or find_spec("rerun_cli") is None:
             raise WebError(f"Rerun is not installed here: `{package_line('rerun-sdk')}` brings it", 501)
@@ -223,7 +218,7 @@ def _work(log: str, rrd: str, kind: str) -> None:
         followed = save_growing(Path(log), Path(rrd), keeps_up=True)
         _report(followed.notice, *_skipped(followed.skipped))
         return
-    with brought_here([location(log)]) as (path,), prepare_log(path) as prepared:
+    with prepare_log(Path(log)) as prepared:
         _report(*prepared.notices)
         save_prepared(prepared, Path(rrd), overwrite=False)
         _report(*_skipped(prepared.skipped))

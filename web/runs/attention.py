@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.location import Location
 from model.runs.run_files import CONFIG, WEIGHTS
 from web.errors import WebError
 from web.folders.file_versions import Newest, version_of
@@ -26,12 +25,11 @@ _UNSEEN_ALPHA: Final = 0.45  # of the black over the rows outside the crop
 _MAX_WIDTH_PX: Final = 640
 _KEPT: Final = 2  # networks in memory
 _ONE_AT_A_TIME: Final = threading.Lock()
-_networks: Final[Newest[Path, tuple[PictureNetwork, PictureSpec]]] = Newest(_KEPT)
+_networks: Final[Newest[tuple[PictureNetwork, PictureSpec]]] = Newest(_KEPT)
 
 
-def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes) -> bytes:
-    """A PNG with the shape of the picture: coloured where the network looks, dark outside its crop. `run` may be a
-    copy of the run at `place`.
+def attention_overlay(run: Path, log: Path, encoded: bytes) -> bytes:
+    """A PNG with the shape of the picture: coloured where the network looks, dark outside its crop.
 
     Raises RunError for a run that cannot be loaded, or a network without an attention map; WebError for a user's
     own network code, and for a picture that does not decode.
@@ -50,7 +48,7 @@ def attention_overlay(run: Path, place: Location, log: Location, encoded: bytes)
         raise WebError(f"{log}: this picture does not decode ({error})", 422) from None
     with _ONE_AT_A_TIME:
         torch.set_num_threads(1)  # on a busy machine, several threads for one picture take 20 times as long
-        check_network(run, log, place)
+        check_network(run, log)
         version = version_of(run / WEIGHTS, run / CONFIG)
         network, spec = _networks.get(run, version, lambda: (load_network(run), picture_of_run(run)))
         try:

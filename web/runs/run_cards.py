@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 from common import UserError
 from common.errors import printable
-from common.location import Location
 from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.folders.background import Background
-from web.folders.file_versions import Newest, digest
+from web.folders.file_versions import Newest, digest, version_of
 from web.folders.project_folders import ProjectFolders, key_of
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
@@ -57,8 +56,8 @@ class RunCards:
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
         self._pool = ThreadPoolExecutor(1, "reading runs")
-        self._summaries = Background[Path, "RunSummary"](self._pool, _summary)
-        self._histories: Newest[Path, History] = Newest(_HISTORIES)
+        self._summaries = Background(self._pool, _summary)
+        self._histories: Newest[History] = Newest(_HISTORIES)
 
     def close(self) -> None:
         self._pool.shutdown(cancel_futures=True)
@@ -70,35 +69,34 @@ class RunCards:
     def version(self) -> str:
         """A text that changes with every file that a training or an evaluation writes."""
         runs = self._folders.run_folders().values()
-        versions = [self._folders.version_of_run(path, (*_SUMMED_UP, *_GROWING)) for path in runs]
-        return digest([*versions, *(str(is_being_trained(path)) for path in runs)]) + self._folders.runs_problem
+        versions = [_version_of(path, *_SUMMED_UP, *_GROWING) for path in runs]
+        return digest([*versions, *(str(is_being_trained(path)) for path in runs)])
 
     def cards(self, patience_s: float) -> list[RunCard]:
         """The cards of all runs, by name. Those not read within `patience_s` have no `summary` yet."""
         paths = self._folders.run_folders().values()
-        versions = [(path, self._folders.version_of_run(path, _SUMMED_UP)) for path in paths]
+        versions = [(path, _version_of(path, *_SUMMED_UP)) for path in paths]
         summaries = self._summaries.results(versions, patience_s)
-        return [_card(path, summaries.get(path), self._folders.run_place(path)) for path in paths]
+        return [_card(path, summaries.get(path)) for path in paths]
 
     def history(self, path: Path) -> History:
         """The course of a training so far. Raises RunError if it cannot be read."""
         from model.runs.history import read_history
 
-        def read() -> History:
-            self._folders.bring_run(path, _HISTORY)
-            return read_history(path)[0]
-
-        return self._histories.get(path, self._folders.version_of_run(path, _HISTORY), read)
+        return self._histories.get(path, _version_of(path, *_HISTORY), lambda: read_history(path)[0])
 
 
-def _card(path: Path, summary: RunSummary | UserError | None, place: Location) -> RunCard:
-    """The card of the run at `place`; `path` may be a copy."""
+def _version_of(run: Path, *names: str) -> str:
+    """The version of some of a run's files."""
+    return version_of(*(run / name for name in names))
+
+
+def _card(path: Path, summary: RunSummary | UserError | None) -> RunCard:
     problem = ""
     if isinstance(summary, UserError):
         problem, summary = str(summary), None
     elif summary is not None and summary.problem:
         problem, summary = summary.problem, None
-    problem = problem.replace(str(path), str(place))
     return RunCard(key_of(path), path, summary, printable(problem), is_being_trained(path))
 
 

@@ -15,18 +15,15 @@ from typing import Any, Final
 
 from common import UserError
 from common.errors import printable
-from common.location import Location
 from common.untrusted import read_bounded
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from model.runs.network_of_run import is_own_network, network_flag, stored_network
 from model.runs.run_config import MAX_CONFIG_BYTES, load_config
-from model.runs.run_files import CONFIG, WEIGHTS
+from model.runs.run_files import CONFIG
 from web.errors import WebError
 from web.folders.file_versions import version_of
 
-NETWORK_FILES: Final = WEIGHTS, CONFIG
-"""The files of a run's network."""
 _OF_THE_RUN: Final = ("fingerprint", "content_fingerprint", "targets_fingerprint")
 """Fields of the data in a run's config that the index itself lacks."""
 _SHOWN: Final = (
@@ -114,15 +111,15 @@ def _checksum(metadata: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(metadata, sort_keys=True).encode()).hexdigest()
 
 
-def check_network(run: Path, log: Location, place: Location) -> None:
+def check_network(run: Path, log: Path) -> None:
     """Raise WebError for a run whose network is a user's own code, with the command that shows it over a log;
-    RunError for an unreadable run. `run` may be a copy of the run at `place`."""
+    RunError for an unreadable run."""
     config = load_config(run)
     if is_own_network(config):
-        words = shlex.join(["bc-play", str(log), "--run", str(place)])
+        words = shlex.join(["bc-play", str(log), "--run", str(run)])
         command = f"{words} {network_flag(stored_network(config, run), run)}"
         raise WebError(
-            f"{place}: the network is your own code, which runs only if you name it: use `{command}`", 409
+            f"{run}: the network is your own code, which runs only if you name it: use `{command}`", 409
         )
 
 

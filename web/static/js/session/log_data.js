@@ -144,9 +144,9 @@ export class LogData extends EventTarget {
     this.isPolling = false;
   }
 
-  /** Load what has changed. Return the problem of the log or its store, "" for none. */
+  /** Load what has changed. Return the problem of the log, "" for none. */
   async refresh() {
-    const { log, lag, tags, growing, problem } = await (await ask(`${this.address}/version`)).json();
+    const { log, lag, tags, growing } = await (await ask(`${this.address}/version`)).json();
     const changed = log === this.state.version ? "" : await this.changed(growing);
     if (lag !== this.state.lag) {
       this.state.lag = lag;
@@ -156,7 +156,7 @@ export class LogData extends EventTarget {
       this.tagsVersion = tags; // before they are read: an unreadable file is read once
       await this.loadTags();
     }
-    return problem || changed;
+    return changed;
   }
 
   async changed(isGrowing) {

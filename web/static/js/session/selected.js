@@ -29,9 +29,8 @@ export class Selected {
     if (this.looking.isOpen && !isByGrid) this.showPictures(selection.length > 0);
   }
 
-  /** Fill the form for a trimmed log, which a log in a store lacks. Without a selection, entered rows stay. */
+  /** Fill the form for a trimmed log. Without a selection, entered rows stay. */
   fillTrim(selection) {
-    if (!by("make-trim")) return;
     const { first, last } = by("make-trim").elements;
     if (!selection.length && `${first.value} ${last.value}` !== this.filled) return;
     const stretch = selection.length ? { first: selection[0].first, last: selection.at(-1).last } : { first: 0, last: this.data.length - 1 };
