@@ -73,10 +73,9 @@ def test_a_bright_column_is_where_the_resize_puts_it(column: int) -> None:
     assert crop.any()
 
 
-@pytest.mark.parametrize("rows", [slice(0, 50), slice(140, 160)])
-def test_sky_and_bonnet_are_never_seen(rows: slice) -> None:
+def test_sky_and_bonnet_are_never_seen() -> None:
     picture = black()
-    picture[rows] = 255
+    picture[:50] = picture[140:] = 255
     assert not preprocess(picture).any()
 
 
