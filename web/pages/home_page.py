@@ -92,7 +92,8 @@ def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_s
         return Suggestion("Train a network", why, "/runs", "train")
     summary = newest.summary
     if not summary.kept_epoch:
-        return Suggestion("Continue its training", f"{newest.name} has not finished an epoch", f"/runs/{newest.key}")
+        why = f"{newest.name} has not finished an epoch"
+        return Suggestion("Continue its training", why, f"/runs/{newest.key}")
     driven = summary.drives or summary.supervised
     if not driven:
         why = f"{newest.name} has not driven yet"
