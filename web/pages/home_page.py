@@ -25,7 +25,7 @@ _SHOWN_ROWS: Final = 150
 """Of the newest drive, from its middle on: a quarter of a minute at ten rows a second."""
 
 
-class Step(NamedTuple):
+class Suggestion(NamedTuple):
     """The next step: a button, why it is the next one, and where it leads; with `form`, it starts that job."""
 
     button: str
@@ -72,36 +72,37 @@ def home_routes(bench: Workbench) -> list[Route]:
     return [Route("/", home)]
 
 
-def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_samples: bool) -> Step:
+def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_samples: bool) -> Suggestion:
     """The most useful next step of a project with these recordings and networks."""
     for card in sessions:
         if card.state in ("unfinished", "damaged"):
-            return Step(f"Look after {card.name}", f"the recording is {card.state}", f"/sessions/{card.key}")
+            return Suggestion(f"Look after {card.name}", f"the recording is {card.state}", f"/sessions/{card.key}")
     newest = max(runs, key=_written, default=None)
     if newest is not None and newest.is_training:
-        return Step("Watch it learn", f"{newest.name} is learning", f"/runs/{newest.key}")
+        return Suggestion("Watch it learn", f"{newest.name} is learning", f"/runs/{newest.key}")
     readable = [card for card in sessions if card.info and not card.is_recording]
     if not readable:
-        return Step("Take the wheel", "a network learns from what you drive", "/wheel")
+        return Suggestion("Take the wheel", "a network learns from what you drive", "/wheel")
     missing = [card for card in readable if card.index.state in (IndexState.MISSING, IndexState.CHANGED)]
     if has_samples and missing:
         why = f"{counted(len(missing), 'recording')} not in the training data yet"
-        return Step("Take in the new recordings", why, "/index", "index")
+        return Suggestion("Take in the new recordings", why, "/index", "index")
     if newest is None or newest.summary is None:
         why = f"from {counted(len(readable), 'recording')}; it takes a few minutes"
-        return Step("Train a network", why, "/runs", "train")
+        return Suggestion("Train a network", why, "/runs", "train")
     summary = newest.summary
     if not summary.kept_epoch:
-        return Step("Continue its training", f"{newest.name} has not finished an epoch", f"/runs/{newest.key}")
+        why = f"{newest.name} has not finished an epoch"
+        return Suggestion("Continue its training", why, f"/runs/{newest.key}")
     driven = summary.drives or summary.supervised
     if not driven:
         why = f"{newest.name} has not driven yet"
-        return Step("Watch it drive", why, f"/wheel?driver=run&run={newest.key}")
+        return Suggestion("Watch it drive", why, f"/wheel?driver=run&run={newest.key}")
     exits = sum(int(drive["interventions"]) for drive in driven)
     if exits:
         why = f"{newest.name} needed help {counted(exits, 'time')}; it learns from where you take over"
-        return Step("Drive with it, and take over", why, f"/wheel?driver=run&run={newest.key}")
-    return Step(
+        return Suggestion("Drive with it, and take over", why, f"/wheel?driver=run&run={newest.key}")
+    return Suggestion(
         "Try it on another road", f"{newest.name} needed no help so far", f"/jobs?start=drive&run={newest.key}"
     )
 
