@@ -64,7 +64,7 @@ def test_a_log_that_is_awkward_in_every_way_is_shown_and_tagged(browser: Browser
         fingerprint = opened.fingerprint
     many = [Tag(at % ROWS, min(at % ROWS + at // ROWS, ROWS - 1), f"n{at % 97}") for at in range(TAGS)]
     add_tags(log, fingerprint, many)
-    with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         page.locator(".session .name").click()
         open_session(page)
         assert page.inner_text("h1") == AWKWARD.replace("\n", "\\n")

@@ -202,7 +202,7 @@ def test_a_kind_is_excluded_in_all_sessions_and_undone_as_one(browser: Browser, 
         wait_until(lambda: tags(bench) == [])
         page.click("#exclude")
         wait_until(lambda: tags(bench) == tags(bench, "other") == [("exclude", *CRASH)])
-        wait_until(lambda: "100 rows in 2 stretches of 2 sessions" in page.inner_text("#status"))
+        wait_until(lambda: "100 rows in 2 stretches of 2 recordings" in page.inner_text("#status"))
         page.reload()
         page.click("#undo")
         wait_until(lambda: tags(bench) == tags(bench, "other") == [])

@@ -37,7 +37,7 @@ def test_two_clicks_compare_the_newest_two_runs(browser: Browser, tmp_path: Path
         learnt_run(tmp_path / "runs" / name, number)
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         wait_until(lambda: "reading" not in bench.get("/runs").text)
-        page.click("nav >> text=Runs")
+        page.click("nav >> text=Networks")
         page.click("text=Compare the newest two")
         page.wait_for_url("**/runs.compare?*")
         assert page.locator("h1").inner_text() == "newer and newest, on the same frames"
@@ -50,7 +50,7 @@ def test_three_clicks_show_why_a_drive_left_the_road(browser: Browser, tmp_path:
     write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 5)
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         wait_until(lambda: "the first intervention" in bench.get("/drives").text)
-        page.click("nav >> text=Drives")
+        page.click("nav >> text=Test drives")
         page.click("td a[title^='the first intervention']")
         page.wait_for_selector("#session[data-run=r]")  # what the network steers
         wait_until(lambda: page.get_attribute("#curves", "aria-valuenow") == "5")  # where it was put back
@@ -67,8 +67,8 @@ def test_five_clicks_and_a_drop_import_train_and_drive(
     rows = range(40)
     lines = [f"{paths(row)},{0.1 * (row % 5 - 2)},0.5,0,9.5\n" for row in rows]
     make_recording(tmp_path / "mine" / "lake", "".join(lines), rows)
-    with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        page.click(".cards a[href='/import']")
+    with served(tmp_path / "project") as bench, opened_page(browser, bench.address) as page:
+        page.click(".hero a[href='/import']")
         page.wait_for_selector("#drop")
         page.wait_for_load_state()  # with its scripts
         drop(page, tmp_path / "mine" / "lake")

@@ -60,7 +60,7 @@ def test_rows_to_trim_are_still_there_after_an_error(browser: Browser, tmp_path:
         page.wait_for_selector("h1:text('Unprocessable Entity')")
         page.go_back()
         open_session(page)
-        page.wait_for_selector("#command-trim:text('rows 9 to 5')")  # unfolded, as it was
+        page.wait_for_selector("#command-trim >> text=rows 9 to 5")  # unfolded, as it was
         assert typed == {name: page.input_value(f"#make-trim [name={name}]") for name in typed}
         page.keyboard.press("[")
         assert page.input_value("#make-trim [name=first]") == "0"  # selected rows replace them
@@ -84,7 +84,7 @@ def test_a_form_with_values_shows_the_whole_command(browser: Browser, tmp_path: 
             "document.addEventListener('DOMContentLoaded', () => (new Image().src = '/slow.png'))"
         )
         page.go_back()
-        page.wait_for_selector("#command-train:text('begins with a hyphen')")
+        page.wait_for_selector("#command-train >> text=begins with a hyphen")
         assert page.is_visible("#form-train [name=dropout]")
 
 

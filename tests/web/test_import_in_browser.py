@@ -21,8 +21,8 @@ CSV = "".join(f"{paths(number)},0.1,0.5,0,9.5\n" for number in range(3))
 
 def test_a_chosen_folder_becomes_a_session_by_the_keyboard(browser: Browser, tmp_path: Path) -> None:
     make_recording(tmp_path / "mine" / "lake", CSV)
-    with served(tmp_path / "project") as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        page.click(".cards a[href='/import']")
+    with served(tmp_path / "project") as bench, opened_page(browser, bench.address) as page:
+        page.click(".hero a[href='/import']")
         page.wait_for_selector("#drop")
         page.wait_for_load_state()  # with its scripts
         with page.expect_file_chooser() as chooser:

@@ -60,7 +60,7 @@ def test_the_page_shows_what_the_index_holds(bench: Served) -> None:
     page = bench.get("/index").text
     assert "<b>a 'b'" not in page
     assert AWKWARD in plain(page)
-    pictures = re.findall(r'<img[^>]* src="([^"]*)"', page)
+    pictures = re.findall(r'<img[^>]* src="(/index[^"]*)"', page)
     assert len(pictures) == 1 + 2 * 2
     for address in pictures:
         answer = bench.get(html.unescape(address))
@@ -128,7 +128,7 @@ def test_an_open_page_shows_an_index_that_is_built_meanwhile(browser: Browser, t
         page.fill("[name=bins]", "21")  # what is typed stays
         assert call(dataset.cli.main, *folders) == 0
         page.wait_for_selector("text=25 bins")
-        assert not page.locator("button:text('Build the index')").count()
+        assert not page.locator("button:text('Prepare it')").count()
         before = page.get_attribute("img.bins", "src")
         assert call(dataset.cli.main, *folders, "--bins", "5") == 0
         page.wait_for_selector("text=5 bins; the largest")
@@ -194,7 +194,7 @@ def test_an_index_of_another_version_or_hand_is_told(
 def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         page = bench.get("/index").text
-        assert "No index yet" in page
+        assert "Nothing prepared yet" in page
         assert "problem" not in page  # it is no error: nothing was built yet
         (tmp_path / "index").mkdir()
         (tmp_path / "index" / "samples.parquet").write_bytes(b"PAR1")
@@ -209,7 +209,7 @@ def test_a_damaged_index_is_built_anew_by_one_button(tmp_path: Path) -> None:
     (tmp_path / "index").mkdir()
     (tmp_path / "index" / "samples.parquet").write_bytes(b"PAR1")
     with served(tmp_path) as bench:
-        assert "Build the index" in bench.get("/index").text
+        assert "Prepare it" in bench.get("/index").text
         bench.post("/jobs", form="index")
         wait_until(lambda: "Train on it" in bench.get("/index").text)
         assert "damaged" not in bench.get("/index").text

@@ -125,7 +125,7 @@ def test_the_page_of_a_run_that_never_began_says_why(bench: Served) -> None:
     job = start(bench, form="train", name="mine", epochs="1")  # without sessions
     assert "Train mine: has not begun yet; reload this page in a moment" in text(bench, "/runs/mine")
     wait_until(lambda: "running" not in text(bench, f"{job}"))
-    assert "Train mine: failed, and left no run; Jobs shows its output" in text(bench, "/runs/mine")
+    assert "Train mine: failed, and left no network; Activity shows its output" in text(bench, "/runs/mine")
     assert "nothing printed yet" not in text(bench, job)
 
 
@@ -163,10 +163,8 @@ def test_a_job_whose_runner_was_killed_still_runs_and_is_stopped(bench: Served) 
 
 
 def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
-    page = bench.get("/sessions").text
-    assert '<form method="post" action="/jobs">' in page
+    assert 'name="form" value="demo"' in bench.get("/").text
     line = f"bc-demo --folder={bench.folder}"
-    assert line in html.unescape(page)
     job = start(bench, form="demo")
     wait_until(lambda: re.search(r'class="state">recording', bench.get("/sessions").text))
     assert bench.post(f"{job}/stop").status == 303
@@ -210,7 +208,7 @@ def test_what_cannot_be_a_command_is_not_started(bench: Served, values: dict[str
     answer = bench.post("/jobs", **values)
     assert answer.status in (404, 422)
     assert answer.json["error"]
-    assert "No jobs yet" in bench.get("/jobs").text
+    assert "Nothing has run yet" in bench.get("/jobs").text
 
 
 def test_only_our_own_pages_start_jobs(bench: Served) -> None:
@@ -220,4 +218,4 @@ def test_only_our_own_pages_start_jobs(bench: Served) -> None:
     assert bench.ask("POST", "/jobs", body, Content_Type="text/plain").status == 415
     assert bench.get("/jobs/none").status == 404
     assert bench.get("/jobs/..%2f..").status == 404
-    assert "No jobs yet" in bench.get("/jobs").text
+    assert "Nothing has run yet" in bench.get("/jobs").text

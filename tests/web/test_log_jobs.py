@@ -112,7 +112,7 @@ def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
         answer = bench.post(f"/sessions/two/make/{job}", **values)
         assert answer.status in (404, 409, 422)
         assert why in answer.json["error"]
-    assert "No jobs yet" in bench.get("/jobs").text
+    assert "Nothing has run yet" in bench.get("/jobs").text
 
 
 def test_a_log_that_is_recorded_or_deleted_meanwhile_is_left_alone(bench: Served) -> None:

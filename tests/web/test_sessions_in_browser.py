@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def test_the_list_keeps_up_without_a_reload(browser: Browser, tmp_path: Path) -> None:
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
-        page.wait_for_selector("text=No sessions yet")
+        page.wait_for_selector("text=No recordings yet")
         for name in ("lake", "mountain"):
             write_log(tmp_path / "sessions" / f"{name}.mcap", [0.1] * 20, lambda camera, row: road_jpeg(row))
         page.wait_for_selector("#s-lake img")

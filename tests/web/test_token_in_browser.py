@@ -55,7 +55,7 @@ def test_a_page_of_an_earlier_start_goes_on_with_the_new_address(browser: Browse
             page.wait_for_selector("#status:text('open the address that bc-web printed')")
             assert page.locator("#s-mountain").count() == 0
             second = page.context.new_page()
-            second.goto(f"{bench.address}/?token={ANOTHER}")
+            second.goto(f"{bench.address}/sessions?token={ANOTHER}")
             second.wait_for_selector("#s-mountain")
             second.close()
             page.bring_to_front()
@@ -76,7 +76,7 @@ def test_the_wheel_of_an_earlier_start_is_held_with_the_new_address(
         with served(tmp_path, port=port, token=ANOTHER):
             page.wait_for_selector("#problem:text('Open the address that bc-web printed')")
             second = page.context.new_page()
-            second.goto(f"{bench.address}/?token={ANOTHER}")
+            second.goto(f"{bench.address}/sessions?token={ANOTHER}")
             second.close()
             page.bring_to_front()
             page.wait_for_selector("#problem", state="hidden")

@@ -27,7 +27,7 @@ def test_the_page_shows_the_command(browser: Browser, tmp_path: Path) -> None:
         form.locator("[name=device]").select_option("cpu")
         form.locator("[name=epochs]").fill("2")
         words = "bc-train --network=small --epochs=2 --rate=3e-4 --batch=64 --targets steering speed --device=cpu"
-        page.wait_for_selector(f"#command-train:has-text('{words}')")
+        page.wait_for_selector(f"#command-train:has-text('{words}')", state="attached")
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)

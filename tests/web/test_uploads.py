@@ -92,7 +92,7 @@ def test_a_recording_on_the_machine_is_found_by_its_folders(
     write_log(home / "own.mcap", [0.1])
     monkeypatch.setenv("HOME", str(home))
     first = bench.get("/import.at").text
-    assert "copy it to your sessions" in first
+    assert "copy it to your recordings" in first
     addresses = re.findall(r'href="(/import.at[^"]*)"', first)
     assert len(addresses) == 2  # the folder above, and the one that can be shown
     second = bench.get(addresses[1]).text

@@ -44,7 +44,7 @@ def write_sessions(folder: Path) -> None:
 
 def start(page: Page, form: str, **values: str) -> None:
     """Fill one of the forms of the page of jobs, and wait until the command has ended well."""
-    page.click("nav >> text=Jobs")
+    page.click("#jobs-now >> text=Activity")
     page.click(f"summary >> text='{form}'")
     within = page.locator("details[open]")
     for name, value in values.items():
@@ -71,7 +71,7 @@ def test_from_a_damaged_session_to_its_drive(
     log = tmp_path / "sessions" / "damaged.mcap"
     folders = "--sessions", log.parent, "--index", tmp_path / "index"
     assert call(dataset.cli.main, "sound", *folders, "--labels", "as-recorded") == 0
-    with served(tmp_path) as bench, opened_page(browser, bench.address) as page:
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions") as page:
         # the recording that was killed is saved as far as it is whole
         page.select_option("[name=only]", "unfinished or damaged")
         page.click("text=damaged.mcap")
@@ -87,7 +87,7 @@ def test_from_a_damaged_session_to_its_drive(
         next(log.parent.glob("*.part")).unlink()  # as bc-log says, once it is saved
 
         # the session with the most odd rows, and its worst stretch
-        page.click("nav >> text=Sessions")
+        page.click("nav >> text=Recordings")
         page.select_option("[name=sort]", "most odd rows")
         wait_until(lambda: page.locator(".session .name").first.inner_text() == "damaged")
         page.locator(".session .name").first.click()
@@ -109,7 +109,7 @@ def test_from_a_damaged_session_to_its_drive(
         press(page, "x", 1)
         assert excluded(log, capsys) == [rows]
 
-        page.click("nav >> text=Index")
+        page.goto(f"{bench.address}/index")
         assert "damaged" in page.inner_text(".problem")  # it is newer than the index
         start(page, "Index", labels="as-recorded")
         page.wait_for_url("**/index")

@@ -94,7 +94,7 @@ def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     log = write_log(Path("sessions") / "mine.mcap", [0.1])
     words, run = training("sessions", log, ProjectFolders())
-    assert (shlex.join(words), run) == ("bc-train --name=mine --on mine", "mine")
+    assert (shlex.join(words), run) == ("bc-train --name=net-mine --on mine", "net-mine")
     untrained_run(Path("runs") / "mine")
     assert training("sessions", log, ProjectFolders())[1] == "mine-2"
 
@@ -260,4 +260,4 @@ def test_the_seconds_before_the_road_was_left_can_be_left_out(
         tagged = tags_by_content(log)[written.fingerprint]
     assert sorted(tagged) == [Tag(0, 1, "exclude"), Tag(29, 59, "exclude")]
     assert "You left the road" not in bench.get("/wheel/after/sessions/mine").text
-    wait_until(lambda: "running" not in bench.get("/jobs.running").text)  # it has no pictures to learn from
+    wait_until(lambda: "running" not in bench.get("/jobs.now").text)  # it has no pictures to learn from

@@ -27,9 +27,9 @@ def job_routes(bench: Workbench) -> list[Route]:
         context = {"names": names, "opened": opened, "values": values, "jobs": bench.jobs.all()}
         return page("jobs.html", live=live, forms=FORMS, **context)
 
-    def running(request: Request) -> Response:
+    def now(request: Request) -> Response:
         """What runs now, for the head of every page."""
-        return page("running.html", jobs=[job for job in bench.jobs.all() if job.is_running])
+        return page("jobs_now.html", jobs=[job for job in bench.jobs.all() if job.is_running])
 
     def command(request: Request) -> Response:
         """The command that a form would run, or the problem with its values."""
@@ -65,7 +65,7 @@ def job_routes(bench: Workbench) -> list[Route]:
         Route("/jobs", whole),
         Route("/jobs", on_form(start), methods=["POST"]),
         Route("/jobs.command", command),
-        Route("/jobs.running", running),
+        Route("/jobs.now", now),
         Route("/jobs/{job}", whole_job),
         Route("/jobs/{job}/stop", stop, methods=["POST"]),
     ]

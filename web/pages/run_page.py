@@ -67,7 +67,9 @@ def run_routes(bench: Workbench) -> list[Route]:
                 if job.is_running:
                     raise WebError(f"{job.title}: has not begun yet; reload this page in a moment", 404)
                 if not job.is_good:
-                    raise WebError(f"{job.title}: {job.state}, and left no run; Jobs shows its output", 404)
+                    raise WebError(
+                        f"{job.title}: {job.state}, and left no network; Activity shows its output", 404
+                    )
         return bench.folders.run(key)
 
     def whole(request: Request) -> Response:
