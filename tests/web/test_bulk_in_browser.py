@@ -195,7 +195,7 @@ def test_a_kind_is_excluded_in_all_sessions_and_undone_as_one(browser: Browser, 
         assert tags(bench, "other") == []
         page.click("#exclude")  # what is left
         wait_until(lambda: tags(bench, "other") == [("exclude", *CRASH)])
-        wait_until(lambda: "50 rows in 1 stretch of 1 session" in page.inner_text("#status"))
+        wait_until(lambda: "50 rows in 1 stretch of 1 recording" in page.inner_text("#status"))
         page.click("#undo")
         wait_until(lambda: tags(bench, "other") == [])
         page.click("#undo")

@@ -75,7 +75,7 @@ def test_five_clicks_and_a_drop_import_train_and_drive(
         page.click(".recording button")
         open_session(page)
         page.click("text=Train on it")
-        page.click("text=Let it drive: lake")  # as soon as it has learnt
+        page.click("text=Let it drive: net-lake")  # as soon as it has learnt
         page.click("button:text('Take the wheel')")
         page.wait_for_selector("#wheel[data-holder=true][data-frame]")
         assert "the network drives" in wait_until(lambda: page.inner_text("#driver"))

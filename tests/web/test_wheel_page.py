@@ -95,8 +95,8 @@ def test_training_on_a_session_makes_a_run_of_its_name(tmp_path: Path, monkeypat
     log = write_log(Path("sessions") / "mine.mcap", [0.1])
     words, run = training("sessions", log, ProjectFolders())
     assert (shlex.join(words), run) == ("bc-train --name=net-mine --on mine", "net-mine")
-    untrained_run(Path("runs") / "mine")
-    assert training("sessions", log, ProjectFolders())[1] == "mine-2"
+    untrained_run(Path("runs") / "net-mine")
+    assert training("sessions", log, ProjectFolders())[1] == "net-mine-2"
 
 
 def test_the_name_of_a_run_or_session_never_becomes_a_flag(tmp_path: Path) -> None:
