@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.bar import Bar
@@ -12,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from common.errors import counted, printable
+from common.files import short_path
 from common.output import plain_table, print_result, print_table
 from common.steering_unit import SteeringUnit
 from dataset.prediction_targets import TARGETS
@@ -45,7 +47,8 @@ def print_evaluation(evaluation: Evaluation, worst: Sequence[WorstFrame], *, bin
     if worst:
         print_result("look at them, the worst one first:")
         for frame in worst:
-            log = shlex.quote(str(evaluation.logs[frame.session]))
+            place = evaluation.logs[frame.session]
+            log = shlex.quote(str(short_path(place) if isinstance(place, Path) else place))
             since_begin_ns = frame.log_time_ns - evaluation.begins_ns[frame.session]
             at_ms = -(-since_begin_ns // 1_000_000)  # not before the frame
             print_result(f"    bc-play {log} --at {at_ms / 1000:.3f} --run {run_argument(evaluation.run)}")

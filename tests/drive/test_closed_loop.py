@@ -128,15 +128,13 @@ def test_an_unknown_track_ends_every_command_with_one_code_and_a_guess(
     [
         *("--rate 7", "--rate 0", "--rate nan", "--laps nan", "--laps 0", "--laps inf", "--speed 0"),
         *("--speed nan", "--recovery 0.95", "--recovery nan", "--noise -1", "--noise nan", "--seed -1"),
-        *("--listen --port 65536", "--listen --idle nan"),
     ],
 )
 def test_an_impossible_drive_of_bc_record_is_one_line_with_the_flag(
     flag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(record_main, "x", "--sessions", tmp_path, *flag.split()) == 2
-    told = flag.removeprefix("--listen ")
-    assert f"bc-record: {told}: " in capsys.readouterr().err
+    assert f"bc-record: {flag}: " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -228,7 +228,7 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
     ("flags", "said"),
     [
         ((), "give one of --onnx for a file, "),
-        (("--onnx", "a", "b"), "--onnx a b: expected [FILE]"),
+        (("--onnx", "a", "b"), "--onnx: expected [FILE]"),
         (("--onnx", "--hub", "a"), "--hub FOLDER"),
         (("--onnx", "--license", "mit"), "--license is only"),
         (("--hub", "a", "--force"), "--force is only"),

@@ -11,7 +11,6 @@ import pytest
 
 from common.car import CAMERAS
 from recorder import Imported, Log, RecordingError
-from recorder.cli import main as bc_record
 from recorder.import_cli import main as bc_import
 from tests.helpers.imports import import_csv
 from tests.helpers.lerobot_logs import jpeg
@@ -236,5 +235,3 @@ def test_a_folder_with_a_csv_asks_for_its_columns(tmp_path: Path, capsys: pytest
     folder = folder_of(tmp_path, "p,s\na.jpg,0\n", ["a.jpg"])
     assert call(bc_import, folder, "mine", "--sessions", tmp_path) == 1
     assert "--columns image=COLUMN steering=COLUMN" in capsys.readouterr().err
-    assert call(bc_record, "mine", "--columns", "image=p", "steering=s", "--rate", 10) == 2
-    assert "`bc-import SOURCE --columns` has it" in capsys.readouterr().err

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,18 +152,6 @@ def test_enums_and_fields_that_may_be_missing_are_those_of_protobuf(contents: li
     assert np.array_equal(decode_numbers(contents, PilotCommand, names), np.array(expected), equal_nan=True)
 
 
-@pytest.mark.parametrize("kind", [VehicleState, PilotCommand])
-def test_no_usual_message_is_decoded_alone(kind: type[VehicleState | PilotCommand]) -> None:
-    """Alone, they take forty times as long."""
-
-    class OnlyTogether:
-        DESCRIPTOR = kind.DESCRIPTOR
-
-    fields: dict[str, Any] = {field.name: 1 for field in kind.DESCRIPTOR.fields}
-    (row,) = decode_numbers([kind(**fields).SerializeToString()], cast("Any", OnlyTogether), list(fields)).T
-    assert row.tolist() == [1.0] * len(fields)
-
-
 POSE_NAMES = ("pose.position.x", "pose.orientation.w", "timestamp.nanos")
 
 
@@ -190,18 +178,6 @@ def test_poses_are_those_of_protobuf(contents: list[bytes]) -> None:
     expected = np.array([[attrgetter(name)(message) for message in messages] for name in POSE_NAMES], np.float64)
     decoded = decode_numbers(contents, PoseInFrame, POSE_NAMES)
     assert np.array_equal(decoded, expected.reshape(3, len(contents)), equal_nan=True)
-
-
-def test_no_usual_pose_is_decoded_alone() -> None:
-    class OnlyTogether:
-        DESCRIPTOR = PoseInFrame.DESCRIPTOR
-
-    pose = PoseInFrame(frame_id="road")
-    pose.timestamp.FromNanoseconds(1_795_000_000_123_456_789)
-    pose.pose.position.x, pose.pose.orientation.w = 3.0, 1.0
-    contents = [pose.SerializeToString()] * 2
-    (x, w) = decode_numbers(contents, cast("Any", OnlyTogether), POSE_NAMES[:2])
-    assert (x.tolist(), w.tolist()) == ([3.0, 3.0], [1.0, 1.0])
 
 
 def test_fields_are_given_in_the_order_that_is_asked_for() -> None:

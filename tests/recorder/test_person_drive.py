@@ -392,6 +392,8 @@ def test_a_killed_drive_is_recovered_with_its_tags(tmp_path: Path) -> None:
         (("me", "x", "--laps", "0"), "--laps 0"),
         (("me", "x", "--start", "nan"), "--start nan"),
         (("listen", "x", "--me", "--start", "9"), "--start"),
+        (("listen", "x", "--port", "65536"), "--port 65536"),
+        (("listen", "x", "--idle", "nan"), "--idle nan"),
         (("listen", "x", "--open", "--no-page"), "--open, --no-page: only with --me"),
     ],
 )
