@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from pathlib import Path
 
@@ -43,3 +44,14 @@ def test_each_stage_of_a_project_has_its_next_step(tmp_path: Path) -> None:
             (tmp_path / "sessions" / "mine.mcap").read_bytes()[:-600]
         )
         wait_until(lambda: main_buttons(bench) == ["Look after half"])
+
+
+def test_the_form_of_another_road_knows_a_network_of_any_name(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "runs", "my & 'network'", 2.0, seed=0)
+    drive = {"track": "lake", "set_speed_mph": 10.0, "interventions": 0, "distance_m": 500.0}
+    keep_result(run, "simulator", drive)
+    with served(tmp_path) as bench:
+        write_log(tmp_path / "sessions" / "mine.mcap", [0.1] * 30)
+        wait_until(lambda: main_buttons(bench) == ["Try it on another road"])
+        (address,) = re.findall(r'class="button main" href="([^"]*)"', bench.get("/").text)
+        assert 'name="run" value="my &amp; &#39;network&#39;"' in bench.get(html.unescape(address)).text

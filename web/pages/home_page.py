@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from urllib.parse import urlencode
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -46,14 +47,14 @@ class Moving(NamedTuple):
 
 def home_routes(bench: Workbench) -> list[Route]:
     def home(request: Request) -> Response:
-        live = {name: getattr(bench, f"{name}_version")() for name in ("sessions", "runs", "drives")}
+        live = bench.sessions_version(), bench.runs_version(), bench.drives_version()  # as data-live names them
         cards = {place: bench.cards.cards(place, _PATIENCE_S) for place in PLACES}
         runs = bench.runs.cards(_PATIENCE_S)
         has_samples = (bench.folders.index / SAMPLES_NAME).exists()
         recorded_s = sum(card.info.length_s for card in cards["sessions"] if card.info)
         return page(
             "home.html",
-            live="; ".join(live.values()),
+            live="; ".join(live),
             project=printable(Path.cwd().name),
             is_new=not any(cards.values()) and not runs,
             minutes=recorded_s / 60,
@@ -63,8 +64,7 @@ def home_routes(bench: Workbench) -> list[Route]:
             moving=_moving(cards),
             newest={place: _newest(cards[place]) for place in PLACES},
             newest_networks=[
-                (card, badge_of(card.summary.verdict) if card.summary and card.summary.verdict else None)
-                for card in sorted(runs, key=_written, reverse=True)[:_NEWEST]
+                (card, badge_of(card.summary)) for card in sorted(runs, key=_written, reverse=True)[:_NEWEST]
             ],
             step=next_step(cards["sessions"], runs, has_samples=has_samples),
         )
@@ -102,9 +102,8 @@ def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_s
     if exits:
         why = f"{newest.name} needed help {counted(exits, 'time')}; it learns from where you take over"
         return Suggestion("Drive with it, and take over", why, f"/wheel?driver=run&run={newest.key}")
-    return Suggestion(
-        "Try it on another road", f"{newest.name} needed no help so far", f"/jobs?start=drive&run={newest.key}"
-    )
+    why = f"{newest.name} needed no help so far"
+    return Suggestion("Try it on another road", why, f"/jobs?{urlencode({'start': 'drive', 'run': newest.name})}")
 
 
 def _written(card: RunCard) -> tuple[bool, str]:
@@ -130,7 +129,7 @@ def _best(runs: Sequence[RunCard]) -> dict[str, Any] | None:
 def _changed_s(card: SessionCard) -> float:
     """When the log was written: a simulated drive's own clock has no date."""
     try:
-        return card.path.stat().st_mtime if isinstance(card.path, Path) else 0.0
+        return card.path.stat().st_mtime
     except OSError:  # deleted meanwhile
         return 0.0
 

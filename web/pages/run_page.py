@@ -92,7 +92,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             summary=card.summary,
             job=bench.jobs.training(f"/runs/{key}"),
             progress=progress_of(bench, card),
-            badge=badge_of(card.summary.verdict) if card.summary and card.summary.verdict else None,
+            badge=badge_of(card.summary),
             again=again,
             not_as_before=_not_as_before(bench, card, config) if again and config else "",
             settings=settings_of(config) if config is not None else {},

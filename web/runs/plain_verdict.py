@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from common.errors import printable
 
 if TYPE_CHECKING:
-    from model.runs.verdict import Verdict
+    from model.runs.run_summary import RunSummary
 
 
 class Badge(NamedTuple):
@@ -16,8 +16,10 @@ class Badge(NamedTuple):
     kind: Literal["good", "", "bad"]  # of its colour
 
 
-def badge_of(verdict: Verdict) -> Badge | None:
-    """None if nothing was measured."""
+def badge_of(run: RunSummary | None) -> Badge | None:
+    """None for a run that is not read yet, or that was not measured."""
+    if run is None or (verdict := run.verdict) is None:
+        return None
     band = verdict.drivable.band
     like = (
         f"{band.stayed} of {band.networks} networks as good as this one stayed on the built-in roads"
