@@ -33,6 +33,7 @@ def test_each_stage_of_a_project_has_its_next_step(tmp_path: Path) -> None:
         wait_until(lambda: main_buttons(bench) == ["Train a network"])
         run = a_run(tmp_path / "runs", "first", 2.0, seed=0)
         wait_until(lambda: main_buttons(bench) == ["Watch it drive"])
+        assert "The network first has not driven yet." in bench.get("/").text
         drive = {"track": "lake", "set_speed_mph": 10.0, "interventions": 2, "distance_m": 500.0}
         keep_result(run, "simulator", drive)
         wait_until(lambda: main_buttons(bench) == ["Drive with it, and take over"])

@@ -51,7 +51,7 @@ def drive_routes(bench: Workbench) -> list[Route]:
             )
         by_key = {drive["card"].key: drive for drive in drives}
         if not query:  # nobody has chosen yet
-            chosen = [drive["card"].key for drive in drives if drive["view"]][:1]
+            chosen = list(by_key)[:1]  # it may still be read
         on_map = [by_key[key] for key in chosen if key in by_key and by_key[key]["view"]]
         colours = _colours(on_map)
         map_of_drives = drive_map([drive["view"] for drive in on_map], colours, by)

@@ -79,7 +79,7 @@ def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_s
             return Suggestion(f"Look after {card.name}", f"the recording is {card.state}", f"/sessions/{card.key}")
     newest = max(runs, key=_written, default=None)
     if newest is not None and newest.is_training:
-        return Suggestion("Watch it learn", f"{newest.name} is learning", f"/runs/{newest.key}")
+        return Suggestion("Watch it learn", f"a network is learning: {newest.name}", f"/runs/{newest.key}")
     readable = [card for card in sessions if card.info and not card.is_recording]
     if not readable:
         return Suggestion("Take the wheel", "a network learns from what you drive", "/wheel")
@@ -92,17 +92,17 @@ def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_s
         return Suggestion("Train a network", why, "/runs", "train")
     summary = newest.summary
     if not summary.kept_epoch:
-        why = f"{newest.name} has not finished an epoch"
+        why = f"no epoch of {newest.name} has ended"
         return Suggestion("Continue its training", why, f"/runs/{newest.key}")
     driven = summary.drives or summary.supervised
     if not driven:
-        why = f"{newest.name} has not driven yet"
+        why = f"the network {newest.name} has not driven yet"
         return Suggestion("Watch it drive", why, f"/wheel?driver=run&run={newest.key}")
     exits = sum(int(drive["interventions"]) for drive in driven)
     if exits:
-        why = f"{newest.name} needed help {counted(exits, 'time')}; it learns from where you take over"
+        why = f"the network {newest.name} needed help {counted(exits, 'time')}; it learns from where you take over"
         return Suggestion("Drive with it, and take over", why, f"/wheel?driver=run&run={newest.key}")
-    why = f"{newest.name} needed no help so far"
+    why = f"the network {newest.name} needed no help so far"
     return Suggestion("Try it on another road", why, f"/jobs?{urlencode({'start': 'drive', 'run': newest.name})}")
 
 
