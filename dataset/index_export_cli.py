@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from common.command import run_command
-from recorder.log_export_cli import print_exported, refuse_no_text
+from recorder.log_edit_cli import print_exported, refuse_no_text
 
 
 @dataclass(frozen=True)

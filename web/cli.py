@@ -12,7 +12,7 @@ from common.errors import UsageError, counted, printable
 from common.interrupts import stop_signals
 from common.location import shown_address
 from common.output import print_message, print_result
-from recorder.server.allowed_hosts import is_loopback
+from recorder.server.connection_guard import is_loopback
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,8 @@ from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.tags import Tag
 from recorder.rows.causes import NOT_LEARNT
-from recorder.rows.devices import DEVICES
 from recorder.rows.row_quality import States, drive_numbers
-from recorder.topics import VEHICLE_COLUMNS, camera_topic
+from recorder.topics import DEVICES, VEHICLE_COLUMNS, camera_topic
 
 
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:

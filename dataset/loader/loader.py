@@ -33,7 +33,7 @@ from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
 from dataset.samples.samples_reader import Samples, Split
-from recorder.log.kept_logs import bring_here
+from recorder.log.training_copies import bring_here
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 

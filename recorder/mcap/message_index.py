@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import MESSAGE, MIN_MESSAGE, OP_MESSAGE, RECORD, Chunk, McapFile
 from recorder.mcap.scan import Structure
+
+if TYPE_CHECKING:
+    from google.protobuf.message import Message
 
 UNCOMPRESSED: Final = -1  # instead of a chunk's offset: the bytes are in the file itself
 LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned; those of files, tables and NumPy are signed
@@ -118,3 +122,26 @@ def _starts(records: bytes, begins: NDArray[np.int64]) -> NDArray[np.int64] | No
     ends = np.concatenate([starts[1:], begins[-1:]])
     is_chain = (starts + RECORD.size + lengths == ends).all() and np.isin(begins[:-1], starts, kind="table").all()
     return starts if is_chain else None
+
+
+def decode_numbers(
+    data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64], kind: type[Message], names: Sequence[str]
+) -> NDArray[np.float64]:
+    """The fields `names` of N serialised messages of a type: an array (len(names), N). Message i is
+    data[starts[i]:ends[i]]. A missing `optional` field is NaN. A field of a field is named "pose.position.x".
+    Raises DecodeError as Protobuf does."""
+    fields: list[Any] = list(kind.DESCRIPTOR.fields)
+    lacking = {field.name for field in fields if field.has_presence and field.message_type is None}
+    places = zip(starts.tolist(), ends.tolist(), strict=True)
+    messages = [kind.FromString(data[start:end]) for start, end in places]
+    values = np.empty((len(names), len(messages)))
+    for row, name in zip(values, names, strict=True):
+        row[:] = list(map(attrgetter(name), messages))
+        if name in lacking:
+            row[[not message.HasField(name) for message in messages]] = np.nan
+    return values
+
+
+def known_values(numbers: NDArray[np.float64], count: int) -> NDArray[np.int8]:
+    """The values (N,) of an enum with `count` of them: 0, unknown, for those of a later version."""
+    return np.where((numbers >= 0) & (numbers < count), numbers, 0).astype(np.int8)

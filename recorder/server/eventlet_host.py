@@ -19,8 +19,9 @@ from recorder.server.connection_guard import (
     Notify,
     OpenConnections,
     first_bytes_problem,
+    listen,
+    send_at_once,
 )
-from recorder.server.listening_socket import listen, send_at_once
 from recorder.server.websocket import WebSocket
 
 with warnings.catch_warnings():

@@ -15,8 +15,14 @@ from engineio.socket import Socket
 from socketio import packet
 
 from common.errors import printable
-from recorder.server.allowed_hosts import AllowedHosts
-from recorder.server.connection_guard import END_S, MAX_CONNECTIONS, NOTICE_TOO_MANY, Notify, landing_page
+from recorder.server.connection_guard import (
+    END_S,
+    MAX_CONNECTIONS,
+    NOTICE_TOO_MANY,
+    AllowedHosts,
+    Notify,
+    landing_page,
+)
 from recorder.server.eventlet_host import EventletHost, open_websocket
 from recorder.server.in_flight import InFlight, RunningClock
 from recorder.server.locale_numbers import POINT

@@ -21,7 +21,7 @@ from websockets.http11 import Request
 from websockets.protocol import Protocol, Side, State
 from websockets.server import ServerProtocol
 
-from recorder.server.listening_socket import has_unread
+from recorder.server.connection_guard import has_unread
 
 RECEIVE_BYTES: Final = 1 << 13  # parsed before other green threads run: 1,400 empty frames take some 3 ms
 DRAIN_S: Final = 1.0

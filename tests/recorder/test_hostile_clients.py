@@ -20,7 +20,7 @@ from recorder.server import (
     eventlet_host,
     telemetry_server,
 )
-from recorder.server.allowed_hosts import AllowedHosts
+from recorder.server.connection_guard import AllowedHosts
 from recorder.server.websocket import MAX_FRAMES, TOO_LARGE
 from tests.helpers.driving import PATIENCE_S
 from tests.helpers.serving import (

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand, VehicleState
-from recorder.mcap import message_index, number_fields
+from recorder.mcap import message_index
 
 like_a_message = st.builds(
     lambda length, rest: b"\x05" + struct.pack("<Q", length) + rest, st.integers(0, 300), st.binary(max_size=40)
@@ -75,7 +75,7 @@ def decode_numbers(contents: Sequence[bytes], kind: type[Message], names: Sequen
     ends = np.cumsum([3 + len(content) for content in contents], dtype=np.int64)
     starts = ends - [len(content) for content in contents]
     data = b"".join(b"\xff\x09\x11" + content for content in contents)
-    return number_fields.decode_numbers(data, starts.astype(np.int64), ends, kind, names)
+    return message_index.decode_numbers(data, starts.astype(np.int64), ends, kind, names)
 
 
 numbers = st.one_of(st.just(0.0), st.just(-0.0), st.floats(width=64))

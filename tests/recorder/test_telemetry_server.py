@@ -23,8 +23,8 @@ from websocket import ABNF
 
 from recorder.errors import ListenError
 from recorder.server import eventlet_host, telemetry_server
+from recorder.server.connection_guard import listen
 from recorder.server.eventlet_host import QuickAckGreenSocket
-from recorder.server.listening_socket import listen
 from recorder.server.telemetry import TelemetryError, parse_telemetry
 from recorder.server.telemetry_server import MAX_MESSAGE_BYTES, Answer, Steer, TelemetryServer
 from recorder.server.websocket import WebSocket

@@ -20,7 +20,7 @@ import msgspec
 from common.errors import counted, printable
 from common.files import PART_SUFFIX, make_folder, part_path, remove_empty
 from common.untrusted import json_as
-from recorder.session_names import plain_name
+from recorder.new_session import plain_name
 from web.errors import WebError
 
 MAX_UPLOAD_BYTES: Final = 64 << 30  # sent, and again unpacked

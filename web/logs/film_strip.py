@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from recorder import Log, LogError, Pictures
-from recorder.pictures.decoding import decode_picture
-from recorder.pictures.picture_size import width_and_height
+from recorder.pictures.picture_size import decode_picture, width_and_height
 from recorder.topics import camera_topic
 
 PICTURES: Final = 4

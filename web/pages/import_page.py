@@ -16,10 +16,10 @@ from common.files import publish
 from common.interrupts import uninterrupted
 from common.untrusted import real_path, whole_number
 from recorder.log.tags import tags_path
-from recorder.session_names import plain_name
+from recorder.new_session import plain_name
 from recorder.sources.find_recording import folders_in, recordings_in
 from recorder.sources.mcap_recording import is_own_log
-from recorder.sources.recording_summary import summarize_recording
+from recorder.sources.recording_kinds import summarize_recording
 from web.errors import WebError, or_404
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, remove_upload, uploads_in

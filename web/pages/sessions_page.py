@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from recorder.log_list_cli import SORTED_BY
+from recorder.log_cli import SORTED_BY
 from recorder.rows.causes import CAUSES, PLAIN
 from web.errors import WebError
 from web.index.index_view import bins_of_index

@@ -23,7 +23,7 @@ from websockets.frames import CloseCode
 from common.errors import printable
 from common.files import session_name
 from recorder.log.tags import EXCLUDE, Tag
-from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.wheel import open_wheels
 from recorder.topics import PERSON_METADATA
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of

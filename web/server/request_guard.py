@@ -24,7 +24,7 @@ from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from common.untrusted import whole_number
-from recorder.server.allowed_hosts import AllowedHosts, is_loopback
+from recorder.server.connection_guard import AllowedHosts, is_loopback
 from web.errors import WebError
 from web.folders.uploads import MAX_UPLOAD_BYTES
 from web.server.error_pages import error_answer

@@ -13,8 +13,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from common import UserError
 from recorder.errors import ListenError
-from recorder.server.listening_socket import listen, send_at_once
-from recorder.teleop.messages import MAX_MESSAGE_BYTES
+from recorder.server.connection_guard import listen, send_at_once
+from recorder.teleop.seat import MAX_MESSAGE_BYTES
 
 _LAST_ANSWERS_S: Final = 2  # for requests in progress when the server stops
 _TICK_S: Final = 0.2

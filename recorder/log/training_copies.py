@@ -33,14 +33,14 @@ def bring_here(logs: Iterable[Log]) -> None:
     """
     remote = [log for log in logs if log.is_remote]
     try:
-        if missing := [log for log in remote if not read_kept(log)]:
+        if missing := [log for log in remote if not read_copy(log)]:
             folder = _folder()
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             with (folder / ".lock").open("ab") as stream:
                 if not try_lock(stream):
                     print_message("waiting for another process that fetches logs")
                     lock(stream)
-                missing = [log for log in missing if not read_kept(log)]
+                missing = [log for log in missing if not read_copy(log)]
                 _make_room(set(map(_copy_of, remote)), sum(log.size for log in missing))
                 _fetch(missing)
     except OSError as error:
@@ -49,7 +49,7 @@ def bring_here(logs: Iterable[Log]) -> None:
         ) from None
 
 
-def read_kept(log: Log) -> bool:
+def read_copy(log: Log) -> bool:
     """Let an open log of a store read from its copy; False if there is none. Raises OSError."""
     path = _copy_of(log)
     with contextlib.suppress(FileNotFoundError):
