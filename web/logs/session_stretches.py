@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.errors import printable
 from common.stretches import stretches
+from dataset.frames.distinct_rows import paired_rows
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
-from dataset.frames.pairing import paired_rows
 from recorder import Log
 from recorder.log.findings import findings
 from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows

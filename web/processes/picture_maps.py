@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from common import UserError
 from common.errors import printable
-from dataset.loader.log_crops import LogCrops
+from dataset.loader.crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from recorder.rows.causes import CAUSES
