@@ -92,7 +92,7 @@ def export(config: ExportIndex) -> int:
     return print_exported(done, has_licence=config.license is not None, is_video=config.video)
 
 
-def index(config: Index) -> int:
+def index(flags: Index) -> int:
     # NumPy, Arrow and OpenCV are slow to load: `--help` needs none
     import pyarrow.compute as pc
 
@@ -104,70 +104,70 @@ def index(config: Index) -> int:
     from dataset.parquet_file import read_columns
     from dataset.samples.samples_format import SAMPLES_NAME
 
-    _refuse_contradictions(config)
-    logs = find_logs(config.sessions, config.folder)
+    _refuse_contradictions(flags)
+    logs = find_logs(flags.sessions, flags.folder)
     # first, before any file is written and before the slow steps
-    check_settings(logs, config.index, config.config)
+    check_settings(logs, flags.index, flags.config)
     # if the user named no sessions, a damaged log is skipped
-    is_any = not config.sessions
-    others = [] if is_any else sessions_beside(logs, config.folder)
-    with tasks_of(config.ray) as tasks:
-        if config.look:
+    is_any = not flags.sessions
+    others = [] if is_any else sessions_beside(logs, flags.folder)
+    with tasks_of(flags.ray) as tasks:
+        if flags.look:
             by_name = {session_name(log): log for log in logs}
-            check_all_images(by_name, config.index, leave_out_unreadable=is_any, tasks=tasks)
+            check_all_images(by_name, flags.index, leave_out_unreadable=is_any, tasks=tasks)
         indexed = build_index(
-            logs, config.index, config.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
+            logs, flags.index, flags.config, leave_out_unreadable=is_any, passed_over=others, tasks=tasks
         )
-    code = print_log_notices(indexed, config.folder, config.sessions)
-    for notice in _one_sided(indexed, config):
+    code = print_log_notices(indexed, flags.folder, flags.sessions)
+    for notice in _one_sided(indexed, flags):
         code = warn(notice)
     if others:  # training does not report them again
         print_message(
-            f"{config.index}: does not hold {first_of(others)}; `bc-index` without names indexes all of"
-            f" {config.folder}"
+            f"{flags.index}: does not hold {first_of(others)}; `bc-index` without names indexes all of"
+            f" {flags.folder}"
         )
     print_table(sessions_table(indexed))
     print_table(labels_table(indexed.labels))
     print_table(balance_table(indexed.balance))
-    split = read_columns(config.index / SAMPLES_NAME, ["split"], read_dictionary=["split"])["split"]
+    split = read_columns(flags.index / SAMPLES_NAME, ["split"], read_dictionary=["split"])["split"]
     splits = {row["values"]: row["counts"] for row in pc.value_counts(split).to_pylist()}
     counts = ", ".join(f"{count:,} {split}" for split, count in sorted(splits.items()))
     frames = sum(session.frames for session in indexed.counts.values())
-    print_result(f"{config.index}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
-    if config.check:
-        leaks = find_leaks(config.index)
+    print_result(f"{flags.index}: {counted(frames, 'frame')}, {counted(len(split), 'sample')} ({counts})")
+    if flags.check:
+        leaks = find_leaks(flags.index)
         for leak in leaks:
             print_message(leak)
         print_result(counted(len(leaks), "leak") if leaks else "no leak between training and validation")
         code = FAILED if leaks else code
     if code != FAILED and any(count.training for count in indexed.counts.values()):
-        flag = "" if config.index == type(config).index else f" --index {shlex.quote(str(config.index))}"
+        flag = "" if flags.index == type(flags).index else f" --index {shlex.quote(str(flags.index))}"
         print_next(f"bc-train{flag}")
     return code
 
 
-def _refuse_contradictions(config: Index) -> None:
+def _refuse_contradictions(flags: Index) -> None:
     """Raise UsageError for flags that contradict each other, and for a wrong condition."""
-    of_blocks = ("validation_share", *["gap_s"] * (config.config.gap_s > 0))  # whole sessions have a gap of 0
-    if config.config.validation and (flags := flags_given(config.config, *of_blocks)):
-        raise UsageError(f"{flags}: not with --validation, which holds out whole sessions")
-    if config.config.where is not None:
+    of_blocks = ("validation_share", *["gap_s"] * (flags.config.gap_s > 0))  # whole sessions have a gap of 0
+    if flags.config.validation and (given := flags_given(flags.config, *of_blocks)):
+        raise UsageError(f"{given}: not with --validation, which holds out whole sessions")
+    if flags.config.where is not None:
         from dataset.frames.frames_file import check_where
 
-        check_where(config.config.where)
+        check_where(flags.config.where)
 
 
-def _one_sided(indexed: Indexed, config: Index) -> list[str]:
+def _one_sided(indexed: Indexed, flags: Index) -> list[str]:
     """A warning if training or validation has no samples, unless the settings say so."""
     counts = indexed.counts.values()
     if not any(count.training for count in counts):
         return [
-            f"{config.index}: no sample for training: all frames are held out, in the gap, excluded, unusable, or"
+            f"{flags.index}: no sample for training: all frames are held out, in the gap, excluded, unusable, or"
             " without a label"
         ]
-    if config.config.validation_share > 0 and not any(count.validation for count in counts):
+    if flags.config.validation_share > 0 and not any(count.validation for count in counts):
         return [
-            f"{config.index}: no sample for validation: the drives are too short; give a smaller --block-s, or"
+            f"{flags.index}: no sample for validation: the drives are too short; give a smaller --block-s, or"
             " hold out whole sessions with --validation SESSION"
         ]
     return []
