@@ -27,10 +27,10 @@ from recorder.mcap.mcap_file import MAGIC
 from recorder.rows.condition import log_columns, rows_where
 from recorder.upkeep.recover import recovered_name
 from web.folders.file_versions import version_of
+from web.folders.notes import read_note
 from web.folders.project_folders import Place, is_recording, key_of, shown_name
 from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
-from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
-from web.logs.drive_view import drive_events
+from web.logs.drive_view import COLUMNS, course_columns, drive_events, is_driven, road_of
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.request_values import Values, on_form
@@ -58,6 +58,7 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
             place=place,
             at=at,
             info=info,
+            note=read_note(path),
             rescue=_rescue(path, place, info.notice) if info.notice else None,
             cameras=CAMERAS,
             can_train=place == "sessions" and path.suffix == ".mcap" and not info.notice,
