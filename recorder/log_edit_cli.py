@@ -212,12 +212,17 @@ UPLOADS: Final = "to publish it; nothing is uploaded yet"
 
 @dataclass(frozen=True)
 class ExportLogs:
-    """Write logs as a LeRobot dataset (v3.0), one episode a drive. Rows tagged `exclude` stay out."""
+    """Write logs as a LeRobot dataset (v3.0), one episode a drive, or a log as a recording of Udacity's simulator.
+
+    Rows tagged `exclude` stay out.
+    """
 
     logs: Annotated[tuple[LogFlag, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
     """The logs to export."""
-    lerobot: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    lerobot: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """The new folder of the dataset."""
+    udacity: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """The new folder of one log's driving_log.csv and IMG."""
     task: str = "Drive along the road."
     """The task in words, for networks that read it."""
     license: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
@@ -228,11 +233,24 @@ class ExportLogs:
     def run(self) -> int:
         from recorder.lerobot.export import export_lerobot  # OpenCV and Arrow
 
-        if not self.logs:
-            raise UsageError("give at least 1 log, such as sessions/lake.mcap")
+        refuse_fewer(self.logs)
+        if self.lerobot is None:
+            return self._to_udacity()
+        if self.udacity is not None:
+            raise UsageError("give one of --lerobot FOLDER and --udacity FOLDER")
         refuse_no_text(("--task", self.task), ("--license", self.license))
         done = export_lerobot(self.logs, self.lerobot, task=self.task, licence=self.license, is_video=self.video)
         return print_exported(done, has_licence=self.license is not None, is_video=self.video)
+
+    def _to_udacity(self) -> int:
+        from recorder.upkeep.export_udacity import export_udacity
+
+        if self.udacity is None or len(self.logs) != 1:
+            raise UsageError("give --lerobot FOLDER, or one log and --udacity FOLDER")
+        rows, skipped = export_udacity(self.logs[0], self.udacity)
+        code = warn_skipped(skipped)
+        print_result(f"{self.udacity}: {counted(rows, 'row')}")
+        return code
 
 
 def refuse_no_text(*flags: tuple[str, str | None]) -> None:

@@ -24,7 +24,7 @@ from recorder.sources.built_in_simulator import CLOCK_START_NS
 from recorder.sources.gymnasium_car import GymnasiumCar
 from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import GymFlags, check_rate
-from simulator.driving.wandering import Wandering
+from simulator.driving.expert import Wandering
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,14 @@
-"""The odd stretches of a log, by its rows and its pictures; and the stretches of a filter."""
+"""The odd stretches of a log, by its rows and its pictures; the stretches of a filter, and the
+search of all logs for rows that meet a condition."""
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,18 +18,73 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from common.errors import printable
 from common.stretches import stretches
+from dataset.config import IndexConfig
+from dataset.frames.distinct_rows import paired_rows
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
-from dataset.frames.pairing import paired_rows
-from recorder import Log
+from dataset.frames.frames_file import check_where
+from dataset.frames.frames_table import frames_table
+from dataset.index.sessions import name_problem
+from recorder import Log, LogError
 from recorder.log.findings import findings
-from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows
+from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows, read_tags, tags_path
 from recorder.rows.causes import CAUSES, NOT_LEARNT, PICTURE_FLAGS, PLAIN
-from recorder.rows.condition import lists_with
+from recorder.rows.condition import lists_with, rows_where
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import States
 from recorder.topics import camera_topic
+from web.folders.cache_folder import Background
+from web.folders.file_versions import version_of
+from web.folders.project_folders import ProjectFolders, version_of_log
 from web.logs.open_logs import OpenLog
 from web.logs.picture_checks import PictureChecks
+
+_MAX_SEARCHES: Final = 8  # kept
+
+
+class WhereSearches:
+    """The latest conditions, with their results so far."""
+
+    def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
+        self._folders = folders
+        self._pool = pool
+        self._lock = threading.Lock()
+        self._searches: OrderedDict[str, Background[int]] = OrderedDict()
+        self._done = 0  # by searches that were dropped
+
+    @property
+    def done(self) -> int:
+        with self._lock:
+            return self._done + sum(search.done for search in self._searches.values())
+
+    def rows(self, where: str, logs: Sequence[Path], patience_s: float | None) -> dict[Path, int]:
+        """The number of rows that meet the condition in each log that is searched within `patience_s`; 0 for an
+        unreadable log. Raises UsageError for an invalid condition."""
+        with self._lock:
+            search = self._searches.get(where)
+        if search is None:
+            check_where(where)
+            search = Background[int](self._pool, partial(self._count, where))
+            with self._lock:
+                self._searches[where] = search
+                while len(self._searches) > _MAX_SEARCHES:
+                    _, dropped = self._searches.popitem(last=False)
+                    self._done += dropped.done
+        versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
+        results = search.results(versions, patience_s)
+        return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
+
+    def _count(self, where: str, path: Path, version: str) -> int:
+        return len(self.numbers(where, path))
+
+    def numbers(self, where: str, path: Path) -> set[int]:
+        """The rows of a log that meet the condition. Raises UsageError for an invalid condition, and LogError
+        for an unreadable log, and for one whose name is not text."""
+        if problem := name_problem(path):
+            raise LogError(problem)
+        with Log(path) as log:
+            frames = frames_table(log, self._folders.index, IndexConfig(), read_tags(path, log.fingerprint))
+        return set(frames["row"].filter(pa.array(rows_where(frames, where))).to_pylist())
+
 
 SURE: Final = "sure"
 """Takes the place of a kind: all rows that are surely odd."""

@@ -213,4 +213,13 @@ def _has_kind(card: SessionCard, kind: str) -> bool:
 def _words(card: SessionCard) -> list[str]:
     """The words by which a session is found."""
     metadata = [card.info.start, *card.info.session.values()] if card.info else []
-    return [card.name, *card.tags, *card.flags, card.index.state, card.state, *metadata]
+    return [
+        card.name,
+        card.note.title,
+        card.note.note,
+        *card.tags,
+        *card.flags,
+        card.index.state,
+        card.state,
+        *metadata,
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,8 +13,9 @@ from common.errors import printable
 from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
-from web.folders.background import Background
+from web.folders.cache_folder import Background
 from web.folders.file_versions import Newest, digest, version_of
+from web.folders.notes import NOTE_FILE, Note, read_note
 from web.folders.project_folders import ProjectFolders, key_of
 
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
@@ -22,6 +24,7 @@ if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
 
 _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
+_SHOWN: Final = *_SUMMED_UP, *_GROWING, NOTE_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
 _HISTORIES: Final = 16  # in memory: the ones used last
 
@@ -39,6 +42,10 @@ class RunCard:
     @property
     def name(self) -> str:
         return printable(self.path.name)
+
+    @cached_property
+    def note(self) -> Note:
+        return read_note(self.path)
 
     @property
     def state(self) -> str:
@@ -69,7 +76,7 @@ class RunCards:
     def version(self) -> str:
         """A text that changes with every file that a training or an evaluation writes."""
         runs = self._folders.run_folders().values()
-        versions = [_version_of(path, *_SUMMED_UP, *_GROWING) for path in runs]
+        versions = [_version_of(path, *_SHOWN) for path in runs]
         return digest([*versions, *(str(is_being_trained(path)) for path in runs)])
 
     def cards(self, patience_s: float) -> list[RunCard]:
