@@ -49,14 +49,13 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("log") / "log.mcap"
 
 
-@given(all_contents, st.sampled_from([1, 100, 1000]), st.sampled_from([1, 1000]))
+@given(all_contents, st.sampled_from([1, 100, 1000]))
 def test_the_messages_are_those_of_mcaps_reader(
-    path: Path, messages: list[tuple[str, bytes]], chunk_bytes: int, at_once: int
+    path: Path, messages: list[tuple[str, bytes]], chunk_bytes: int
 ) -> None:
     file = io.BytesIO(mcap(messages, chunk_bytes))
     path.write_bytes(file.getvalue())
-    with pytest.MonkeyPatch.context() as patch, Log(path) as log:
-        patch.setattr(message_index, "_AT_ONCE", at_once)  # groups with and without channels in them
+    with Log(path) as log:
         for topic in ("/a", "/b"):
             file.seek(0)
             expected = [
