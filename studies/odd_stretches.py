@@ -12,6 +12,7 @@ are more than four seconds from a fault. With --logs, it prints the odd stretche
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -54,7 +55,7 @@ class Drive:
         course = self.course
         speed_mph = abs(course.vehicle.speed_mph)
         state = (course.time_s, steering, max(0.0, throttle), max(0.0, -throttle), speed_mph)
-        self.rows.append((*state, abs(course.offset_m) - course.half_width_m))
+        self.rows.append((*state, abs(course.offset_m) - course.half_width_m, course.vehicle.heading_rad))
         for _ in range(STEPS_EACH):
             course.advance(steering, throttle)
 
@@ -115,6 +116,7 @@ def creeping(drive: Drive) -> None:
 
 def stuck_steering(drive: Drive) -> None:
     drive.holds(4.0, 0.3, 0.07)
+    drive.drives(2.0)
 
 
 def off_road(drive: Drive) -> None:
@@ -126,9 +128,36 @@ def off_road(drive: Drive) -> None:
         drive.drives(1 / RATE_HZ)
 
 
+def leaving_the_road(drive: Drive) -> None:
+    """Steer to the side until the car leaves the road; then it is put back."""
+    while not drive.course.off_road:
+        drive.holds(1 / RATE_HZ, 0.3, 0.5)
+
+
+def weaving(drive: Drive) -> None:
+    """Full lock to either side for half a second each, as the road allows."""
+    while drive.course.vehicle.speed_mph > 10.0:
+        drive.holds(1 / RATE_HZ, -0.5)
+    side = 1.0
+    for _ in range(30):
+        wanted = drive.driver.control(drive.course)[0]
+        side = -side if abs(wanted) < 0.8 else math.copysign(1.0, wanted)
+        drive.holds(0.5, 0.2, side)
+
+
+def wheel_off_the_road(drive: Drive) -> None:
+    """Follow the road with the outer wheels 0.4 m off it, for ten seconds."""
+    course = drive.course
+    course.displace(course.half_width_m - 0.4, 0.0, 0.0)
+    for _ in range(10 * RATE_HZ):
+        steering, throttle = drive.driver.control(course)
+        drive.row(steering, throttle)
+        course.displace(course.half_width_m - 0.4, 0.0, 0.0)
+
+
 FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
     fault.__name__: fault for fault in (backwards, crash, parked, coasting, creeping, stuck_steering, off_road)
-}
+} | {fault.__name__: fault for fault in (leaving_the_road, weaving, wheel_off_the_road)}
 
 
 def states_of(rows: Sequence[tuple[float, ...]]) -> States:

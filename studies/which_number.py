@@ -209,7 +209,7 @@ class Study:
         run = self.folder / "runs" / training
         how = ("--epochs", epochs, "--threads", 1, "--device", "cpu")
         if run.exists():
-            self.jobs.bc(self.folder, "bc-train", "--resume", training, *how)
+            self.jobs.bc(self.folder, "bc-train", "resume", training, *how)
         else:
             index = ("--index", self.folder / "indexes" / file_name(name))
             flags = (*RECIPES[name].train, "--keep", "last", "--seed", seed)

@@ -61,7 +61,7 @@ def test_commands_work_where_neither_obstore_nor_ray_is(tmp_path: Path, monkeypa
     assert call(bc_log, "info", log) == call(bc_log, "check", log) == call(bc_log, "ls", "sessions") == 0
     assert call(bc_index, "--block-s", "0.5", "--gap-s", "0", "--look", "--check") == 0
     assert call(bc_train, "--name", "a", "--network", "small", "--epochs", 1, "--batch", 10, "--threads", 1) == 0
-    assert call(bc_train, "--resume", "a", "--epochs", 2) == 0
+    assert call(bc_train, "resume", "a", "--epochs", 2) == 0
     assert call(bc_eval, "a") == call(bc_runs) == 0
 
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from common.car import CAMERAS, Camera
 from common.files import session_name
 from dataset.config import IndexConfig
+from dataset.frames.distinct_rows import moments, paired_rows
 from dataset.frames.drivers import DRIVERS, TAKEOVERS, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.pairing import moments, paired_rows
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures

@@ -12,8 +12,8 @@ from rich.table import Table
 from common.errors import counted, decimal, printable
 from common.output import plain_table, print_message, print_result, print_table
 from common.steering_unit import DEGREES, SteeringUnit
-from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
-from model.evaluation.run_comparison import BLOCK_S, Comparison
+from model.evaluation.differences import BLOCK_S, CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
+from model.evaluation.run_comparison import Comparison
 
 if TYPE_CHECKING:
     from drive.evaluation.drive_comparison import DriveComparison  # loads the server

@@ -18,6 +18,7 @@ from model.evaluation.block_bootstrap import Floats, Statistic, intervals
 from model.runs.run_files import without_nan
 
 CONFIDENCE: Final = 0.95  # that the intervals of all measures hold together
+BLOCK_S: Final = 5.0  # measured: errors are uncorrelated after 2 to 5 s
 FEWEST_BLOCKS: Final = 6  # fewer give no reliable interval
 
 Verdict = Literal["worse", "better", "not told apart", "unknown"]

@@ -64,7 +64,7 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
     learnt, asked = numbers.learnt, numbers.training.epochs
     if learnt >= asked or numbers.training.patience:
         return None
-    return Advice(f"stopped after {learnt:,} of {counted(asked, 'epoch')}", f"bc-train --resume {numbers.run}")
+    return Advice(f"stopped after {learnt:,} of {counted(asked, 'epoch')}", f"bc-train resume {numbers.run}")
 
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
@@ -132,7 +132,7 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
 
 def is_still_improving(numbers: RunNumbers) -> Advice | None:
     epochs = [epoch for epoch in numbers.epochs if epoch.measures.frames]
-    more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * numbers.learnt)}"
+    more = f"bc-train resume {numbers.run} --epochs {max(10, 2 * numbers.learnt)}"
     if not epochs:
         return None
     errors = [epoch.measures.driving_error for epoch in epochs]

@@ -25,7 +25,7 @@ from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_car import GymnasiumCar
 from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.imported_rows import Imported
-from simulator.driving.wandering import Wandering
+from simulator.driving.expert import Wandering
 
 
 @dataclass(frozen=True)

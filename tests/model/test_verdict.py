@@ -217,7 +217,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             "the steering of a never changes (2,000 rows)",
             "bc-log check sessions/a.mcap",
         ),
-        (numbers(epochs=WEAK[:4]), "stopped after 4 of 10 epochs", "bc-train --resume first"),
+        (numbers(epochs=WEAK[:4]), "stopped after 4 of 10 epochs", "bc-train resume first"),
         (
             numbers(
                 epochs=[scaled(weak, 0.4) for weak in WEAK]
@@ -246,12 +246,12 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(epochs=[*WEAK[:9], epoch(10, 0.3)]),
             "still fell in epoch 10",
-            "bc-train --resume first --epochs 20",
+            "bc-train resume first --epochs 20",
         ),
         (
             numbers(sound() | {"training": {"epochs": 2}}, [WEAK[0], replace(epoch(2, 0.4), is_best=False)]),
             "2 epochs of 39 steps: networks of fewer than 150 steps seldom drive",
-            "bc-train --resume first --epochs 10",
+            "bc-train resume first --epochs 10",
         ),
         (
             numbers(sound(counts={name: {"frames": 6000, "training": 600} for name in ("a", "b")})),
@@ -325,8 +325,8 @@ def test_epochs_are_advised_before_rows_also_of_few_turns() -> None:
         | {"training": {"epochs": 3}}
         for frames in (600, 200)
     )
-    assert advice(numbers(few, improving)).command == "bc-train --resume first --epochs 10"
-    assert advice(numbers(hardly_any, improving)).command == "bc-train --resume first --epochs 10"
+    assert advice(numbers(few, improving)).command == "bc-train resume first --epochs 10"
+    assert advice(numbers(hardly_any, improving)).command == "bc-train resume first --epochs 10"
 
 
 def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:

@@ -15,8 +15,10 @@ from urllib.parse import parse_qsl, urlencode
 
 import pytest
 
+from common.locks import lock
 from model.config import TrainConfig
 from model.runs.kept_results import keep_result
+from model.runs.run_files import TRAINING_LOCK
 from recorder import Log
 from tests.helpers.driving import road_jpeg
 from tests.helpers.histories import epoch_line, write_lines
@@ -106,7 +108,7 @@ def test_a_runs_page_has_its_verdict_and_what_would_help(bench: Served) -> None:
     text = page(bench, "good")
     assert "no better than always predicting the mean: on turns" in text
     assert "has driven 1 track with 2 interventions" in text
-    assert "bc-train --resume" in text
+    assert "bc-train resume" in text
 
 
 def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Served) -> None:
@@ -173,7 +175,13 @@ def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     (run / "config.json").write_text(json.dumps(config))
     command = train_again(tmp_path, "mine")
     assert command.startswith("bc-train")
-    for words in ("--light=as-seen", "--rate=0.0003", "--picture-px 64 48", "--on sunday monday", "--init=first"):
+    for words in (
+        "--light=as-seen",
+        "--rate=0.0003",
+        "--picture-px 64 48",
+        "--on sunday monday",
+        "bc-train continue first",
+    ):
         assert words in command
     for words in ("--crop-rows 0 20", "--answers=as-learnt", "--average-steps=1", "--alter-each-epoch move zoom"):
         assert words in command
@@ -216,8 +224,8 @@ def test_train_again_repeats_the_takeovers(tmp_path: Path, drives: list[str]) ->
     logs = [str(write_log(tmp_path / "drives" / f"{name}.mcap", [0.1] * 10)) for name in drives]
     a_run_of_takeovers(tmp_path, *drives)
     command = shlex.split(train_again(tmp_path, "second"))
-    assert command[: 3 + len(logs)] == ["bc-train", "--init=first", "--takeovers", *logs]
-    assert command[3 + len(logs) :][:2] == ["--epochs=3", "--recipe=people"]
+    assert command[: 4 + len(logs)] == ["bc-train", "continue", "first", "--takeovers", *logs]
+    assert command[4 + len(logs) :][:2] == ["--epochs=3", "--recipe=people"]
     assert "--on" not in command
 
 
@@ -267,6 +275,24 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
         assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
         assert bench.get("/runs/r/worst/1/2.jpg").status == 404
         assert "6.0°" not in bench.get("/runs/r?epoch=2").text
+
+
+def test_while_it_learns_its_page_shows_where_it_is_most_wrong(tmp_path: Path) -> None:
+    """And no page offers it as if it had learnt all."""
+    run = a_run(tmp_path / "runs", "r", 2.0)
+    crop = base64.b64encode(road_jpeg(3)).decode()
+    frames = [{**CROP, "predicted_deg": -5.0, "recorded_deg": 1.0, "error_deg": -6.0, "jpeg": crop}]
+    write_lines(run / "worst.jsonl", [{"epoch": 1, "frames": []}, {"epoch": 2, "frames": frames}])
+    (run / TRAINING_LOCK).parent.mkdir()
+    with served(tmp_path) as bench, (run / TRAINING_LOCK).open("ab") as stream:
+        lock(stream)
+        wait_until(lambda: "Where it is most wrong, after epoch 2" in plain(bench.get("/runs/r").text))
+        text = plain(bench.get("/runs/r").text)
+        assert "Here it would steer 5.0° to the left , and you steered 1.0° to the right" in text
+        assert "You can close this page" in text
+        assert "It is still learning: until then, it drives and is measured as it was after epoch 1." in text
+        assert "r (still learning)" in bench.get("/wheel?driver=run").text
+        assert "r is still learning" in bench.get("/jobs?start=drive&run=r").text
 
 
 def test_errors_and_bias_stand_beside_the_steering_that_was_recorded(tmp_path: Path) -> None:

@@ -59,6 +59,7 @@ class About(msgspec.Struct):
     made: str  # the page of its output; "" for none
     form: str = ""  # that started it
     values: dict[str, str] = {}  # of the form
+    first: list[str] = []  # a command that has to end well before
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ class Job:
 
     @property
     def command(self) -> str:
-        return printable(shlex.join(self.about.words))
+        commands = filter(None, (self.about.first, self.about.words))
+        return printable(" && ".join(map(shlex.join, commands)))
 
     @property
     def title(self) -> str:
@@ -188,9 +190,11 @@ class Jobs:
         values: Mapping[str, str] = MappingProxyType({}),
         *,
         records: bool = False,
+        first: Sequence[str] = (),
     ) -> Job:
-        """Start a command. `words` are its command line, which a form made of `values`. Raises WebError if it
-        `records` a log that a running job records, too: only one of the logs could get the name."""
+        """Start a command, after the command `first`. `words` are its command line, which a form made of `values`.
+        Raises WebError if it `records` a log that a running job records, too: only one of the logs could get the
+        name."""
         now = datetime.now(UTC)
         key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
         folder = self.folder / key
@@ -200,7 +204,7 @@ class Jobs:
             for ended in [job for job in self.all() if not job.is_running][_KEPT:]:
                 shutil.rmtree(ended.folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            about = About(list(words), now.isoformat(), made, form, dict(values))
+            about = About(list(words), now.isoformat(), made, form, dict(values), list(first))
             (folder / ABOUT).write_bytes(msgspec.json.encode(about))
             line = [sys.executable, "-P", "-c", _RUNNER, str(real_path(folder)), str(_ROOT)]
             # a new session: neither the terminal's Ctrl-C nor its end reaches the job

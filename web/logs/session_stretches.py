@@ -19,10 +19,10 @@ from common.car import CAMERAS
 from common.errors import printable
 from common.stretches import stretches
 from dataset.config import IndexConfig
+from dataset.frames.distinct_rows import paired_rows
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import check_where
 from dataset.frames.frames_table import frames_table
-from dataset.frames.pairing import paired_rows
 from dataset.index.sessions import name_problem
 from recorder import Log, LogError
 from recorder.log.findings import findings

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlencode
@@ -16,8 +18,10 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import counted, printable
 from common.untrusted import whole_number
+from dataset.config import IndexConfig
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
+from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from web.errors import WebError, or_404
 from web.folders.file_versions import version_of
@@ -54,6 +58,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         index = bench.folders.index
         now, problem = _view(index)
         then, trial_problem = _view(bench.trials.get(trial)) if trial else (None, "")
+        stale, is_usual = not_taken_in(bench)
         return page(
             "index.html",
             live=live,
@@ -69,21 +74,13 @@ def index_routes(bench: Workbench) -> list[Route]:
             is_damaged=bool(problem),
             problem=problem,
             trial_problem=trial_problem,
-            stale=_stale(),
+            stale=stale,
+            is_usual=is_usual,
             headings=COUNT_HEADINGS,
             settings=differing([now.settings, then.settings]) if now and then else [],
             sessions=_sessions(now, then),
             runs=_runs() if now else [],
         )
-
-    def _stale() -> list[str]:
-        """The sessions that are newer than the index, or whose logs or tags have changed."""
-        cards = bench.cards.cards("sessions", _PATIENCE_S)
-        names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
-        with contextlib.suppress(UserError):
-            logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
-            names |= set(map(printable, logs_not_indexed(bench.folders.index, logs)))
-        return sorted(names)
 
     def _runs() -> list[tuple[str, str]]:
         """The runs that were trained on the present index, and their pages."""
@@ -154,6 +151,29 @@ def index_routes(bench: Workbench) -> list[Route]:
         Route("/index/{session}/split", split),
         Route("/index/{session}/held-out", held_out),
     ]
+
+
+def not_taken_in(bench: Workbench) -> tuple[list[str], bool]:
+    """The sessions that are newer than the index, or have changed since; and whether the index has the settings of
+    `bc-index` without flags, so that this takes them in and changes nothing else."""
+    cards = bench.cards.cards("sessions", _PATIENCE_S)
+    names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
+    with contextlib.suppress(UserError):
+        logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
+        names |= set(map(printable, logs_not_indexed(bench.folders.index, logs)))
+    is_usual = not any(card.index.state is IndexState.PASSED_OVER for card in cards)
+    metadata = read_metadata(bench.folders.index / SAMPLES_NAME)
+    usual = json.loads(json.dumps(dataclasses.asdict(IndexConfig())))
+    return sorted(names), is_usual and metadata is not None and metadata.get("settings") == usual
+
+
+def taken_in_first(bench: Workbench, form: str, values: Mapping[str, str]) -> list[str]:
+    """The command that brings the index up to date before a training on it; none if nothing is missing, or if it
+    would change the index's settings. A missing index is built by the training itself."""
+    if form != "train" or values.get("on"):
+        return []
+    names, is_usual = not_taken_in(bench)
+    return form_of("index").words({}, bench.folders) if names and is_usual else []
 
 
 def _chosen(request: Request) -> tuple[str, int]:
