@@ -40,8 +40,7 @@ from web.folders.cache_folder import Background
 from web.folders.file_versions import version_of
 from web.folders.project_folders import ProjectFolders, version_of_log
 from web.logs.open_logs import OpenLog
-from web.processes.kept_work import KeptWork
-from web.processes.own_process import report, run_in_process
+from web.processes.kept_work import KeptWork, report, run_in_process
 
 
 class PictureChecks:
