@@ -23,6 +23,7 @@ _DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
 _VERBS: Final = (  # not shown by tyro
     *("bc-record me", "bc-record listen", "bc-record gym"),
     *("bc-train resume", "bc-train continue", "bc-train export"),
+    *("bc-eval drive", "bc-eval compare"),
     "bc-index export",
 )
 

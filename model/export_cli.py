@@ -115,7 +115,7 @@ def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     code = warn(f"{folder}: without an ONNX file: {written.onnx_problem}") if written.onnx_problem else DONE
     if not written.has_driven:
         print_message(
-            f"{folder}: its card lists no drives: give `bc-eval {run_argument(run)} --simulator lake mountain`,"
+            f"{folder}: its card lists no drives: give `bc-eval drive {run_argument(run)} --tracks lake mountain`,"
             " and export it again"
         )
     if licence is None:

@@ -233,8 +233,8 @@ class Study:
                 leftover.rename(leftover.with_name(f"{leftover.name}.left-{time.time_ns()}"))
 
     def _eval(self, run: str, track: str) -> Result:
-        words = ("--simulator", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
-        return dict(json.loads(output_of(self.folder, "bc-eval", run, *words)))
+        words = ("--tracks", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
+        return dict(json.loads(output_of(self.folder, "bc-eval", "drive", run, *words)))
 
 
 def make(study: Study, steps: list[Step]) -> int:

@@ -1,6 +1,6 @@
 """Two runs compared by driving the same tracks at the same speeds, stretch of road by stretch of road.
 
-bc-eval --compare A B --simulator lake mountain random:1
+bc-eval compare A B --tracks lake mountain random:1
 """
 
 from __future__ import annotations

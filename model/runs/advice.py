@@ -112,7 +112,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
         return Advice(small, numbers.drive_command)
     tracks = "random:1 random:2" if numbers.has_driven_a_lap else "lake mountain"
     why = small if not numbers.has_driven_a_lap else "it needed no intervention on the roads it has driven"
-    return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")
+    return Advice(why, f"bc-eval drive {numbers.run} --tracks {tracks}")
 
 
 def has_left_the_road(numbers: RunNumbers) -> Advice | None:
@@ -188,7 +188,7 @@ def nothing_stands_out(numbers: RunNumbers) -> Advice:
     if numbers.measured is None and not numbers.drives:  # no frame is held out: `bc-eval RUN` would measure none
         drive = numbers.drive_command
         if numbers.is_built_in:
-            drive = f"bc-eval {numbers.run} --simulator lake mountain"
+            drive = f"bc-eval drive {numbers.run} --tracks lake mountain"
         return Advice("nothing of it is measured yet; a drive shows how good it is", drive)
     return Advice("nothing in its numbers stands out; recordings of other roads help most", _record(numbers))
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import counted, printable
-from common.stretches import stretches, stretches_within
+from common.stretches import stretches_within
 from recorder.rows.causes import CAUSES, NOT_LEARNT
 from recorder.rows.row_quality import (
     PEDAL,
@@ -49,7 +49,7 @@ WHEEL_OFF_S: Final = 5.0  # drivers who hurry cut bends for up to 3.3 s
 LEAVING_S: Final = 3.0
 """The time in which a car leaves the road: a network would learn the mistake."""
 FULL_LOCK: Final = 0.95
-SWING_S: Final = 2.0  # at most, from full lock on one side to full lock on the other
+SWING_S: Final = 3.0  # at most, from full lock on one side to full lock on the other, and until the next swing
 SWINGS: Final = 4
 """In a row, they are weaving. People in hairpins reach 2."""
 SWUNG_RAD: Final = math.radians(10)
@@ -260,7 +260,9 @@ def weaving_rows(motion: Motion, states: States) -> Mask:
     weaving = np.zeros(len(motion.drive), np.bool_)
     there, here = _swings(np.where(motion.standing, 0.0, states.steering))
     is_quick = motion.time_s[here] - motion.time_s[there] <= SWING_S  # drives are farther apart
-    for first, last in stretches(is_quick):
+    waits = motion.time_s[there[1:]] - motion.time_s[here[:-1]] > SWING_S  # between two swings
+    in_a_row = np.cumsum(np.concatenate([[0], waits]))[: len(there)]
+    for first, last in stretches_within(is_quick, in_a_row):
         rows = slice(int(there[first]), int(here[last]) + 1)
         if last - first + 1 >= SWINGS and (
             states.heading_rad is None or _turned_rad(states.heading_rad[rows]) >= SWUNG_RAD

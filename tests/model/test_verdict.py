@@ -88,7 +88,7 @@ def test_the_two_lines_of_a_good_network() -> None:
         f"better than always predicting the mean: {turns}, {driving}; perhaps enough"
     )
     assert "32 of 32 networks" in verdict.summary
-    assert verdict.lines[1].startswith("next: `bc-eval first --simulator lake mountain`: a driving error of ")
+    assert verdict.lines[1].startswith("next: `bc-eval drive first --tracks lake mountain`: a driving error of ")
     assert [error.ratio for error in verdict.beside_mean] == pytest.approx(
         [
             measured(0.1).network.turning_mae_deg / measured(0.1).mean.turning_mae_deg,
@@ -228,7 +228,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(epochs=[scaled(weak, 0.4) for weak in WEAK], drives=(LAP,)),  # what it does counts more
             "no intervention on the roads it has driven",
-            "bc-eval first --simulator random:1 random:2",
+            "bc-eval drive first --tracks random:1 random:2",
         ),
         (
             numbers(  # RMSE alone is then worse than the mean's
@@ -284,7 +284,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
                 epochs=[scaled(good, good.measures.driving_error - 0.02) for good in GOOD]
             ),
             "a driving error of 0.15 is small enough to try",
-            "bc-eval first --simulator lake mountain",
+            "bc-eval drive first --tracks lake mountain",
         ),
         (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
     ],

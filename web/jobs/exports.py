@@ -21,7 +21,7 @@ _ONNX: Final = ("onnx", "onnxruntime", "onnxscript")
 
 
 @dataclass(frozen=True)
-class Export:
+class ExportKind:
     """A command that writes a file or folder of another format."""
 
     name: str
@@ -38,14 +38,14 @@ class Export:
 
 
 RUN_EXPORTS: Final = (
-    Export("onnx", "ONNX file", ("bc-train", "export"), "--onnx", ".onnx", _ONNX),
-    Export("donkeycar", "DonkeyCar part", ("bc-train", "export"), "--donkeycar", "-donkeycar", _ONNX),
-    Export("hub", "Hugging Face folder", ("bc-train", "export"), "--hub", "-hub", _ONNX),
+    ExportKind("onnx", "ONNX file", ("bc-train", "export"), "--onnx", ".onnx", _ONNX),
+    ExportKind("donkeycar", "DonkeyCar part", ("bc-train", "export"), "--donkeycar", "-donkeycar", _ONNX),
+    ExportKind("hub", "Hugging Face folder", ("bc-train", "export"), "--hub", "-hub", _ONNX),
 )
 LOG_EXPORTS: Final = (
-    Export("lerobot", "LeRobot dataset", ("bc-log", "export"), "--lerobot", "-lerobot"),
-    Export("udacity", "Udacity folder", ("bc-log", "export"), "--udacity", "-udacity"),
-    Export("video", "Video", ("bc-play",), "--video", ".mp4"),
+    ExportKind("lerobot", "LeRobot dataset", ("bc-log", "export"), "--lerobot", "-lerobot"),
+    ExportKind("udacity", "Udacity folder", ("bc-log", "export"), "--udacity", "-udacity"),
+    ExportKind("video", "Video", ("bc-play",), "--video", ".mp4"),
 )
 
 
@@ -55,7 +55,7 @@ class Exports:
     def __init__(self, cache: Path) -> None:
         self._folder = cache / "exports"
 
-    def words(self, export: Export, source: Path, name: str) -> tuple[list[str], str]:
+    def words(self, export: ExportKind, source: Path, name: str) -> tuple[list[str], str]:
         """The words of the command, and the address of what it makes. The oldest exports are deleted."""
         self._folder.mkdir(parents=True, exist_ok=True)
         for old in sorted(self._folder.iterdir())[: -(_KEPT - 1)]:

@@ -308,12 +308,10 @@ FORMS: Final[Sequence[JobForm]] = (
         "drive",
         "Drive",
         "A network drives the built-in simulator. The drive's log is kept.",
-        ("bc-eval",),
+        ("bc-eval", "drive"),
         (
             Field("run", "network", "", suggestions="runs", hint="the newest"),
-            Field(
-                "track", "tracks", "--simulator", hint="lake mountain random:3", is_several=True, is_needed=True
-            ),
+            Field("track", "tracks", "--tracks", hint="lake mountain random:3", is_several=True, is_needed=True),
             Field("laps", "laps", hint="1"),
             Field("speed", "speeds in mph", hint="10", is_several=True),
             Field("force", "replace logs of the same names", is_switch=True),

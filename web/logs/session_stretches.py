@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from common.errors import printable
+from common.files import session_name
+from common.location import absolute
 from common.stretches import stretches
 from dataset.config import IndexConfig
 from dataset.frames.distinct_rows import paired_rows
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import check_where
 from dataset.frames.frames_table import frames_table
+from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
 from dataset.index.sessions import name_problem
 from recorder import Log, LogError
 from recorder.log.findings import findings
@@ -32,11 +35,59 @@ from recorder.rows.condition import lists_with, rows_where
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import States
 from recorder.topics import camera_topic
+from web.errors import WebError
 from web.folders.cache_folder import Background
 from web.folders.file_versions import version_of
 from web.folders.project_folders import ProjectFolders, version_of_log
 from web.logs.open_logs import OpenLog
-from web.logs.picture_checks import PictureChecks
+from web.processes.kept_work import KeptWork, report, run_in_process
+
+
+class PictureChecks:
+    """Checks by a log's fingerprint. One is made at a time, because it uses all processors."""
+
+    def __init__(self, index: Path, cache: Path) -> None:
+        self._index = index
+        self._kept = cache / "checks"
+        self.work = KeptWork(self._kept, "web.logs.session_stretches", "it was stopped")
+
+    def findings(self, log: Log) -> ImageFindings | None:
+        """The findings for a log's pictures; None if they were never checked. Findings of earlier versions lack
+        the comparison with the steering."""
+        indexed = read_image_check(self._index, session_name(log.path), log.fingerprint)
+        if indexed is not None and indexed.against is not None:
+            return indexed
+        return read_image_check(self._kept, log.fingerprint, log.fingerprint) or indexed
+
+    def are_checked(self, log: Log) -> bool:
+        """Whether there are findings with the comparison."""
+        findings = self.findings(log)
+        return findings is not None and findings.against is not None
+
+    def start(self, log: Log) -> None:
+        """Start a check, unless it is running."""
+        pictures = sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS)
+        self.work.start(log.fingerprint, pictures, [str(absolute(log.path)), log.fingerprint])
+
+
+def main() -> None:
+    run_in_process(_check)
+
+
+def _check(path: str, fingerprint: str, result: str) -> None:
+    pictures = 0
+
+    def on_decoded(count: int) -> None:
+        nonlocal pictures
+        pictures += count
+        report(pictures=pictures)
+
+    with Log(Path(path)) as log:
+        if log.fingerprint != fingerprint:
+            raise WebError("the log has been replaced since this page was opened: reload it")
+        findings = check_images(log, on_decoded)
+    write_image_check(Path(result).parent, fingerprint, fingerprint, findings)
+
 
 _MAX_SEARCHES: Final = 8  # kept
 

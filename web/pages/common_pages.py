@@ -14,13 +14,13 @@ from common.files import session_name
 from web.errors import WebError, or_404
 from web.folders.notes import write_note
 from web.folders.project_folders import PLACES, Place
-from web.jobs.exports import LOG_EXPORTS, RUN_EXPORTS, Export
+from web.jobs.exports import LOG_EXPORTS, RUN_EXPORTS, ExportKind
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 
 
 def common_routes(bench: Workbench) -> list[Route]:
-    def exporter(kinds: Sequence[Export], source_of: Callable[[str], Path]) -> Callable[[Request], Response]:
+    def exporter(kinds: Sequence[ExportKind], source_of: Callable[[str], Path]) -> Callable[[Request], Response]:
         def export(request: Request) -> Response:
             source, name = source_of(request.path_params["key"]), request.path_params["export"]
             kind = or_404(next((kind for kind in kinds if kind.name == name), None), f"{name}: no such export")

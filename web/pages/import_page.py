@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from dataclasses import dataclass
@@ -15,10 +16,10 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
-from common.files import publish
+from common.files import publish, session_name
 from common.interrupts import uninterrupted
 from common.untrusted import real_path, whole_number
-from recorder import Log
+from recorder import Log, LogError
 from recorder.log.tags import tags_path
 from recorder.new_session import plain_name
 from recorder.sources.find_recording import folders_in, recordings_in
@@ -28,6 +29,7 @@ from web.errors import WebError, or_404
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
+from web.logs.session_cards import SessionCard
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
@@ -45,7 +47,7 @@ class Offer:
 
     recording: RecordingSummary
     name: str  # that no session has
-    here: str  # the key of the session that it seems to have become; "" if it is new
+    here: SessionCard | None  # that it seems to have become
 
     @property
     def is_ready(self) -> bool:
@@ -104,17 +106,18 @@ def import_routes(bench: Workbench) -> list[Route]:
     def _offers(place: Path, recordings: list[Path]) -> list[Offer]:
         cards = bench.cards.cards("sessions", _PATIENCE_S)
         taken = {card.name for card in cards}
-        imported = {card.info.session.get("recording", ""): card.key for card in cards if card.info}
-        by_content = {print_: name for name, print_ in bench.cards.fingerprints("sessions", _PATIENCE_S).items()}
+        contents = bench.cards.fingerprints("sessions", _PATIENCE_S)
+        imported = {card.info.session.get("recording"): card for card in cards if card.info}
+        copied = {contents.get(session_name(card.path)): card for card in cards}
         offers = []
         for recording in recordings:
             name = place.name if recording.is_dir() and len(recordings) == 1 else recording.name
             summary, free = summarize_recording(recording), _free_name(plain_name(name), taken)
             taken.add(free)
-            here = imported.get(_name_before(recording, folder), "")
+            here = imported.get(_name_before(recording, folder))
             if summary.is_own:
-                with Log(recording) as log:
-                    here = by_content.get(log.fingerprint, "")
+                with contextlib.suppress(LogError), Log(recording) as log:
+                    here = copied.get(log.fingerprint)
             offers.append(Offer(summary, free, here))
         return offers
 

@@ -44,8 +44,7 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
-from web.logs.drive_map import drive_map
-from web.logs.drive_view import BEFORE_S, DriveView, rows_before_put_back
+from web.logs.drive_view import BEFORE_S, DriveView, drive_map, rows_before_put_back
 from web.pages.request_values import Values, on_form
 from web.pages.tagging import TagChange, change_tags
 from web.pages.workbench import Workbench

@@ -18,9 +18,8 @@ from web.jobs.exports import Exports
 from web.jobs.jobs import Jobs
 from web.logs.drive_view import DriveViews
 from web.logs.open_logs import OpenLogs
-from web.logs.picture_checks import PictureChecks
 from web.logs.session_cards import SessionCards
-from web.logs.session_stretches import WhereSearches
+from web.logs.session_stretches import PictureChecks, WhereSearches
 from web.processes.picture_maps import PictureMaps
 from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers

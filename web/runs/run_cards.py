@@ -1,4 +1,4 @@
-"""The entries of the list of runs: each run's summary, as in `bc-runs`, and whether it is being trained."""
+"""The entries of the list of runs: each run's summary, as in `bc-runs`, its verdict, and whether it is trained."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from common import UserError
 from common.errors import printable
@@ -21,6 +21,41 @@ from web.folders.project_folders import ProjectFolders, key_of
 if TYPE_CHECKING:  # these load PyTorch, which only pages of runs need
     from model.runs.history import History
     from model.runs.run_summary import RunSummary
+
+
+class Badge(NamedTuple):
+    word: Literal["drives", "perhaps", "not yet"]
+    sentence: str
+    kind: Literal["good", "", "bad"]  # of its colour
+
+
+def badge_of(run: RunSummary | None) -> Badge | None:
+    """None for a run that is not read yet, or that was not measured."""
+    if run is None or (verdict := run.verdict) is None:
+        return None
+    band = verdict.drivable.band
+    like = (
+        f"{band.stayed} of {band.networks} networks as good as this one stayed on the built-in roads"
+        if band
+        else ""
+    )
+    match verdict.in_short:
+        case "drives":
+            return Badge("drives", f"It {printable(verdict.driven)}.", "good")
+        case "leaves the road":
+            return Badge("not yet", f"It {printable(verdict.driven)}.", "bad")
+        case "enough":
+            return Badge("drives", f"It should stay on the road: {like}.", "good")
+        case "perhaps":
+            return Badge("perhaps", f"Perhaps it stays on the road{f': {like}' * bool(like)}. Let it try.", "")
+        case "too weak":
+            return Badge("not yet", f"It needs to learn more: {like}.", "bad")
+        case "no better":
+            return Badge(
+                "not yet", "It needs to learn more: it is no better than steering always the same.", "bad"
+            )
+    return None
+
 
 _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE

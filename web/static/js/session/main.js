@@ -1,13 +1,11 @@
 // The page of a session: the actions of its mouse and keys.
 
-import { by, listen, make, number, showProblem, toggleHelp } from "../dom.js";
+import { angle, by, clock, listen, make, number, showProblem, toggleHelp } from "../dom.js";
 import { showStatus } from "../live.js";
 import { changeTags, EXCLUDE, TagChanges } from "../tag_changes.js";
-import { angle, clock } from "./clock.js";
-import { Course } from "./course.js";
+import { Course, DriverBand } from "./course.js";
 import { CourseMap } from "./course_map.js";
 import { Curves } from "./curves.js";
-import { DriverBand } from "./drivers.js";
 import { Filter } from "./filter.js";
 import { listEvents, listOdd, listTags } from "./lists.js";
 import { ask, awaited, LogData } from "./log_data.js";
