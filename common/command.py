@@ -19,9 +19,7 @@ from typing import Any, Final, TypeVar
 import tyro
 
 from common.errors import Skipped, UsageError, UserError
-from common.flag_errors import flag_errors_in_one_line, refuse_empty_flags
-from common.flag_help import asks_for_help, print_help
-from common.flag_types import quick_types
+from common.flags import asks_for_help, flag_errors_in_one_line, print_help, quick_types, refuse_empty_flags
 from common.interrupts import interrupting_signals
 from common.location_flag import path_flags
 from common.output import MessageHandler, print_message, print_result
@@ -86,12 +84,12 @@ def run_command(
     config: type[Config],
     action: Callable[[Config], int],
     description: str | None = None,
-    default: Callable[[], Config] | None = None,
+    default: Callable[[], Config | None] | None = None,
 ) -> None:
     """Parse the command line into `config`, call `action`, and exit with its return value.
 
     `description` is the beginning of `--help`, by default the docstring of `config`. `default` makes the default
-    configuration, if it is not known before.
+    configuration, if it is not known before; None for that of the dataclass.
 
     Ctrl-C, `kill` and a closed terminal end the action: files have a temporary name until they are complete.
     """
@@ -139,14 +137,15 @@ def _run(
     config: type[Config],
     action: Callable[[Config], int],
     about: str,
-    default: Callable[[], Config] | None,
+    default: Callable[[], Config | None] | None,
 ) -> int:
     kind: type[UserError] = UserError
     try:
-        defaults: dict[str, Any] = {} if default is None else {"default": default()}
         if sys.argv[1:] == ["--version"]:
             print_result(f"{prog} {version_of()}")
             return DONE
+        made = None if default is None else default()
+        defaults: dict[str, Any] = {} if made is None else {"default": made}
         flags = (tyro.conf.FlagCreatePairsOff,)
         if asks_for_help(sys.argv[1:]):
             with quick_types():

@@ -1,9 +1,9 @@
-"""Recipes: sets of defaults for the settings of an index and of a training."""
+"""Recipes: sets of defaults for the settings of an index and of a training. Flags that choose defaults."""
 
 from __future__ import annotations
 
-import argparse
-import contextlib
+import itertools
+import sys
 from typing import Final, Literal, get_args
 
 Recipe = Literal["large-steps", "altered", "people", "original"]
@@ -22,9 +22,15 @@ DEFAULT: Final[Recipe] = "large-steps"
 def recipe_given(default: Recipe = DEFAULT) -> Recipe:
     """The value of --recipe on the command line; `default` if it is absent or wrong. The parser of all flags
     reports a wrong value."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--recipe", choices=get_args(Recipe), default=default)
-    with contextlib.suppress(argparse.ArgumentError):
-        recipe: Recipe = parser.parse_known_args()[0].recipe
-        return recipe
-    return default
+    given = value_given("--recipe")
+    return next((recipe for recipe in get_args(Recipe) if recipe == given), default)
+
+
+def value_given(flag: str) -> str | None:
+    """The value of a flag on the command line, before its other words are parsed; None if it is absent."""
+    value = None
+    for word, following in itertools.pairwise([*sys.argv[1:], ""]):
+        name, is_joined, joined = word.partition("=")
+        if name == flag:
+            value = joined if is_joined else following
+    return value

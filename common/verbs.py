@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from common.command import run_command
+from common.errors import UsageError
+from common.flags import asks_for_help
 from common.output import print_message
 
 
@@ -19,7 +21,7 @@ class Verb(NamedTuple):
 
     config: type[Any]
     action: Callable[[Any], int]
-    default: Callable[[], Any] | None = None
+    default: Callable[[], Any | None] | None = None
 
 
 class Earlier(NamedTuple):
@@ -30,6 +32,19 @@ class Earlier(NamedTuple):
     value: str = ""  # only with this value
     moved: int = 0  # the first values of the flag, which now follow the verb
     renamed: Mapping[str, str] = {}  # the flag's name now, by verb; else it is left out
+
+
+def word_after_verb(name: str) -> str | None:
+    """The first word after the verb, from which the defaults of its flags follow; None if the verb stands alone.
+
+    Raises UsageError for a flag before it.
+    """
+    words = sys.argv[1:]
+    if not words or (words[0].startswith("-") and asks_for_help(words)):
+        return None
+    if words[0].startswith("-"):
+        raise UsageError(f"{words[0]}: {name} comes first, then the flags")
+    return words[0]
 
 
 def run_verbs(prog: str, plain: Verb, verbs: Mapping[str, Verb], earlier: Sequence[Earlier] = ()) -> None:

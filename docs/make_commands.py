@@ -20,6 +20,13 @@ COLUMNS: Final = 129
 _REPEATED: Final = re.compile(r"\[?(\S+) \[\1 \.\.\.\]\]?")  # `[{a,b} [{a,b} ...]]`
 _DEFAULT: Final = re.compile(r" ?\((required|default: ([^()]*))\)$")
 
+_VERBS: Final = (  # not shown by tyro
+    *("bc-record me", "bc-record listen", "bc-record gym"),
+    *("bc-train resume", "bc-train continue", "bc-train export"),
+    *("bc-eval drive", "bc-eval compare"),
+    "bc-index export",
+)
+
 
 @dataclass(frozen=True)
 class Argument:
@@ -55,9 +62,7 @@ def commands(help_of: Callable[[str], str] | None = None) -> dict[str, str]:
         shown = dict(zip(scripts, pool.map(help_of, scripts), strict=True))
         subcommands = [f"{name} {sub}" for name, text in shown.items() for sub in re.findall(r"• (\w+) ", text)]
         with_subcommands = {name.split()[0] for name in subcommands}
-        subcommands += [  # not shown by tyro
-            *("bc-record me", "bc-record listen", "bc-record gym", "bc-train export", "bc-index export")
-        ]
+        subcommands += _VERBS
         texts = zip(subcommands, pool.map(help_of, subcommands), strict=True)
         return {name: text for name, text in shown.items() if name not in with_subcommands} | dict(texts)
 

@@ -93,8 +93,8 @@ def main(config: Pictures) -> None:
 
 def driven(run: Path, session: Path, laps: float, folder: Path) -> Made:
     """Let `run` drive at two speeds."""
-    where = ["--simulator", TRACK, "--laps", f"{laps:g}", "--drives", str(folder)]
-    _bc("drive.evaluation.eval_cli", str(run), *where, "--speed", str(SLOW_MPH), str(FAST_MPH))
+    where = ["--tracks", TRACK, "--laps", f"{laps:g}", "--drives", str(folder)]
+    _bc("drive.evaluation.eval_cli", "drive", str(run), *where, "--speed", str(SLOW_MPH), str(FAST_MPH))
     slow, fast = (next(folder.glob(f"*-{TRACK}-{mph}mph.mcap")) for mph in (SLOW_MPH, FAST_MPH))
     return Made(run, session, slow.rename(folder / "slow.mcap"), fast.rename(folder / "fast.mcap"))
 

@@ -24,6 +24,7 @@ SHORTER: Final = {
     "--name first ": "--name first --epochs 1 ",
     "seed=1": "epochs=1",
     "--simulator lake": "--laps 0.1 --simulator lake",
+    "--tracks lake": "--laps 0.1 --tracks lake",
 }
 
 

@@ -240,7 +240,7 @@ def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> N
     if config.takeover is not None and with_takeovers:
         logs = " ".join(shlex.quote(str(session.writer.path)) for session in with_takeovers)
         times = sum(session.summary.takeovers + session.summary.manual_stretches for session in with_takeovers)
-        command = f"bc-train --init {run_argument(run)} --takeovers {logs}"
+        command = f"bc-train continue {run_argument(run)} --takeovers {logs}"
         print_next(command, f"it learns from {counted(times, 'takeover')}")
     elif driven := [session for session in sessions if session.log.frames]:
         print_next(f"bc-play {shlex.quote(str(driven[-1].writer.path))}")

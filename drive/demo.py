@@ -56,7 +56,7 @@ def commands_of(config: Demo) -> list[str]:
         *(f"bc-record {track} --track {track} --laps {share:g}" for track in tracks),
         "bc-index",
         f"bc-train --name demo{network}{f' --epochs {config.epochs}' if config.epochs else ''}",
-        f"bc-eval demo --simulator {' '.join(tracks)} --laps {laps:g}",
+        f"bc-eval drive demo --tracks {' '.join(tracks)} --laps {laps:g}",
         f"bc-play {drive}.mcap --save {drive}.rrd",
     ]
 

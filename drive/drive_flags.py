@@ -12,7 +12,7 @@ import tyro
 
 from common.command import check_port, flags_given
 from common.errors import UsageError
-from recorder.sources.gymnasium_flags import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
+from recorder.sources.settings import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
 
 _PAGE_FLAGS: Final = ("open", "page", "sessions")
 
@@ -31,7 +31,7 @@ class Drive:
         "network drives start real_time page sessions smooth steering_rate device precision host port seed runs"
     )
     REMOVED: ClassVar[Mapping[str, str]] = {
-        "--aggregate": "drive with --takeover --log LOG.mcap, then `bc-train --init RUN --takeovers LOG.mcap`",
+        "--aggregate": "drive with --takeover --log LOG.mcap, then `bc-train continue RUN --takeovers LOG.mcap`",
         "--server": "eventlet serves; leave it out",
         **REMOVED_GYM_FLAGS,
     }

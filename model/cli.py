@@ -2,96 +2,170 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
-import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
-from common.command import DONE, run_command, warn, warn_skipped
-from common.errors import counted, first_of, printable
-from common.files import short_path
+from common.command import DONE, warn, warn_skipped
+from common.errors import UsageError, counted, first_of, printable
+from common.files import session_name, short_path
 from common.location import Location
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.process_settings import use_large_pages
 from common.untrusted import real_path
+from common.verbs import Verb, run_verbs
 from model.config import TrainConfig
 from model.epoch_printer import EpochPrinter
+from model.export_cli import Export, export
 from model.network.names import is_own
 from model.runs.run_arguments import new_run_name
-from model.train_flags import Train, defaults, refuse_contradictions
+from model.train_flags import (
+    EARLIER,
+    INDEX,
+    SESSIONS,
+    Continue,
+    Places,
+    ProgressFlags,
+    Resume,
+    Train,
+    defaults_of_continued,
+    defaults_of_new,
+    defaults_of_resumed,
+)
 
 if TYPE_CHECKING:
+    from common.recipe import Recipe
     from dataset import IndexConfig, Indexed
+    from dataset.picture_spec import PictureSpec
+    from model.device import Machine
+    from model.network.choice import NetworkChoice
     from model.runs.training_progress import Listener
     from model.training.trainer import Trained
 
 
 def train(config: Train) -> int:
-    refuse_contradictions(config)
-    from model.errors import RunWriteError
-    from model.runs.run_folder import find_any_run, find_run
-    from model.training.trainer import train as train_network
+    from model.runs.run_folder import find_any_run
+    from model.runs.run_inputs import init_of
 
-    is_resumed, settings = config.resume is not None, config.config
+    if config.on and config.like is not None:
+        raise UsageError("--on chooses the samples; with --like they are already chosen: leave out one of them")
+    places, settings = config.places, config.config
+    run = _new_run(config.name, places.runs)
     # first everything that can fail at once; building an index may take minutes
-    run = _run_of(config)
-    init = find_run(config.init, config.runs) if config.init is not None else None
-    if init is not None and config.takeovers:
-        from model.runs.network_of_run import network_settings
-        from model.runs.run_folder import load_config
+    like = find_any_run(config.like, places.runs) if config.like is not None else None
+    init = init_of(like, places.runs) if like is not None else None
+    network = _try_network(settings, init, like)
+    listeners = _listeners(config.progress, run, settings)
+    if config.on:
+        index, code = _index_on(config.on, run, places, settings.recipe)
+    elif like is not None:
+        index, code = _index_of_run(like, places)
+    else:
+        index, code = _index_of_folder(places, settings.recipe)
+    print_result(f"{run}: {network}")
+    return max(code, _train(index, run, settings, listeners, init=init, like=like))
 
-        settings = replace(settings, **network_settings(load_config(init), init))
-        config = replace(config, config=settings)
-    like = run if is_resumed else None
-    if config.like is not None:
-        like = find_any_run(config.like, config.runs)
-    summary = _try_network(config, run, init, like)
-    listeners = _listeners(config, run)
-    is_own_index = bool(config.on or config.takeovers)
-    index, code = _own_index(config, run, init) if is_own_index else _index_of(config, like)
-    print_result(f"{run}: {summary}{_resumed_at(run, settings.epochs) if is_resumed else ''}")
+
+def resume(config: Resume) -> int:
+    from dataset.samples.samples_format import SAMPLES_NAME
+    from model.runs.run_folder import find_any_run
+
+    places, settings = config.places, config.config
+    run = find_any_run(config.run, places.runs)
+    network = _try_resumed(settings, run)
+    listeners = _listeners(config.progress, run, settings)
+    index, code = places.index_of(run), DONE
+    if not (index / SAMPLES_NAME).is_file():
+        index, code = _index_of_run(run, places)
+    print_result(f"{run}: {network}{_resumed_at(run, settings.epochs)}")
+    return max(code, _train(index, run, settings, listeners, resume=True))
+
+
+def continue_run(config: Continue) -> int:
+    from model.runs.run_folder import find_run
+
+    if config.on and config.takeovers:
+        raise UsageError("--on, --takeovers: give one of them")
+    places, settings = config.places, config.config
+    run, init = _new_run(config.name, places.runs), find_run(config.run, places.runs)
+    network = _try_network(settings, init, None)
+    listeners = _listeners(config.progress, run, settings)
+    if config.takeovers:
+        index, code = _index_with_takeovers(config, run, init)
+    elif config.on:
+        index, code = _index_on(config.on, run, places, settings.recipe)
+    else:
+        index, code = _index_of_folder(places, settings.recipe)
+    print_result(f"{run}: {network}")
+    return max(code, _train(index, run, settings, listeners, init=init))
+
+
+def _train(
+    index: Path,
+    run: Path,
+    settings: TrainConfig,
+    listeners: Sequence[Listener],
+    *,
+    init: Path | None = None,
+    like: Path | None = None,
+    resume: bool = False,
+) -> int:
+    """Train and print the outcome. Returns the exit code."""
+    from model.errors import RunWriteError
+    from model.training.trainer import train
+
     try:
-        trained = train_network(index, run, settings, listeners, init=init, like=like, resume=is_resumed)
+        trained = train(index, run, settings, listeners, init=init, like=like, resume=resume)
     except (KeyboardInterrupt, RunWriteError):
         if run.exists():
             print_message(f"bc-train: the run is kept; continue with `{_resume(run, index)}`")
         raise
-    return max([code, *map(warn_skipped, trained.skipped), _print_outcome(trained, settings)])
+    return max([DONE, *map(warn_skipped, trained.skipped), _print_outcome(trained, settings)])
 
 
-def _try_network(config: Train, run: Path, init: Path | None, like: Path | None) -> str:
+def _try_network(settings: TrainConfig, init: Path | None, like: Path | None) -> str:
     """Try the network on the device of the training. Returns the text of the first printed line.
 
-    Raises RunError if the network or the device does not exist, or if the first weights are of another network.
+    Raises RunError if the network or the device does not exist, or if the weights of `init` are of another
+    network. `like` is a run whose arithmetic is repeated.
     """
     from model.device import choose_machine
     from model.network.choice import choose_network, chosen_picture
+    from model.runs.run_folder import load_config
+    from model.training.earlier_run import refuse_other_network
+
+    machine = choose_machine(settings, load_config(like).get("machine") if like is not None else None)
+    network = choose_network(settings)
+    picture = chosen_picture(settings, network)
+    if init is not None:
+        refuse_other_network(init, network, picture, settings.targets)
+    return _tried(network, picture, machine, settings.epochs)
+
+
+def _try_resumed(settings: TrainConfig, run: Path) -> str:
+    """`_try_network` for the network of a run that is resumed."""
+    from model.device import choose_machine
     from model.network.own_code import load_code
     from model.runs.network_of_run import choice_of
     from model.runs.run_folder import load_config, picture_of_run
-    from model.training.earlier_run import refuse_other_network
 
-    settings = config.config
-    begun = load_config(like).get("machine") if like is not None else None
-    machine = choose_machine(settings, begun)
-    if config.resume is None:
-        network = choose_network(settings)
-        picture = chosen_picture(settings, network)
-        if init is not None:
-            refuse_other_network(init, network, picture, settings.targets)
-    else:
-        if is_own(settings.network):
-            load_code(settings.network)
-        network, picture = choice_of(load_config(run), run), picture_of_run(run)
+    stored = load_config(run)
+    machine = choose_machine(settings, stored.get("machine"))
+    if is_own(settings.network):
+        load_code(settings.network)
+    return _tried(choice_of(stored, run), picture_of_run(run), machine, settings.epochs)
+
+
+def _tried(network: NetworkChoice, picture: PictureSpec, machine: Machine, epochs: int) -> str:
     parameters = network.try_out(picture, machine.device)
     where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
     name = "" if network.name == "original" else f"{printable(network.name)}, "
-    passes = f"{counted(settings.epochs, 'epoch')}, " if settings.epochs else ""
+    passes = f"{counted(epochs, 'epoch')}, " if epochs else ""
     return f"{name}{parameters:,} parameters, {passes}{where}"
 
 
@@ -144,18 +218,18 @@ def _resume(run: Path, index: Path) -> str:
     stored = index_of(run)
     is_stored = isinstance(stored, Path) and real_path(stored) == real_path(index)
     given = "" if is_stored else f" --index {shlex.quote(str(index))}"
-    return f"bc-train --resume {run_argument(run)}{own_network_flag(load_config(run), run)}{given}"
+    return f"bc-train resume {run_argument(run)}{own_network_flag(load_config(run), run)}{given}"
 
 
-def _listeners(config: Train, run: Path) -> list[Listener]:
+def _listeners(progress: ProgressFlags, run: Path, settings: TrainConfig) -> list[Listener]:
     """The listeners of a training. Raises UserError if a package that one of them needs is not installed."""
-    listeners: list[Listener] = [EpochPrinter(config.config.keep)]
-    if config.tensorboard:
+    listeners: list[Listener] = [EpochPrinter(settings.keep)]
+    if progress.tensorboard:
         from model.training.tensorboard import TensorBoard
 
         listeners.append(TensorBoard(run))
-    if config.listener is not None:
-        listeners.append(_own_listener(config.listener, run, config.config))
+    if progress.listener is not None:
+        listeners.append(_own_listener(progress.listener, run, settings))
     return listeners
 
 
@@ -175,76 +249,96 @@ def _own_listener(name: str, run: Path, config: TrainConfig) -> Listener:
     return listener
 
 
-def _run_of(config: Train) -> Path:
-    from model.runs.run_folder import find_any_run, refuse_existing_run
+def _new_run(name: str, runs: Path) -> Path:
+    """The folder of a new run. Raises UsageError if its name is a path, or for one of several processes; RunError
+    if it exists."""
+    from model.runs.run_folder import refuse_existing_run
 
-    if config.resume is not None:
-        return find_any_run(config.resume, config.runs)
-    run = config.runs / (config.name or new_run_name())
+    if os.environ.get("WORLD_SIZE", "1") != "1":
+        raise UsageError("one training is one process: start it without torchrun (WORLD_SIZE)")
+    if Path(name).name != name or name.startswith((".", "-")):
+        raise UsageError(f"--name {name!r}: expected a plain name; give the folder with --runs")
+    run = runs / (name or new_run_name())
     refuse_existing_run(run)
     return run
 
 
-def _own_index(config: Train, run: Path, init: Path | None) -> tuple[Path, int]:
-    """Build the index of --on or --takeovers. Returns it and the exit code of its notices."""
-    from common.files import session_name
+def _index_on(sessions: Sequence[str], run: Path, places: Places, recipe: Recipe) -> tuple[Path, int]:
+    """Build the index of chosen sessions. Returns it and the exit code of its notices."""
     from dataset import IndexConfig, find_logs
+
+    index = _own_index(run, places)
+    logs = find_logs(sessions, places.sessions or SESSIONS)
+    _, code = _build_own_index(logs, index, IndexConfig.of(recipe), places)
+    return index, code
+
+
+def _index_with_takeovers(config: Continue, run: Path, init: Path) -> tuple[Path, int]:
+    """Build the index of the logs of `init` and of takeovers. Returns it and the exit code of its notices."""
     from model.runs.reproduce import logs_with_takeovers
 
-    index = config.index.with_name(f"index-{run.name}")
-    if index.exists() or index.is_symlink():
-        raise UserError(f"{index} exists already, perhaps of a stopped training: remove it, or give a new --name")
-    takeovers: list[Location] = []
-    if init is not None and config.takeovers:
-        before, takeovers, settings = logs_with_takeovers(
-            init, config.takeovers, config.sessions, config.drives, print_message
-        )
-        logs = [*before, *takeovers]
-    else:
-        logs, settings = find_logs(config.on, config.sessions), IndexConfig.of(config.config.recipe)
-    print_message(f"{index}: built of {counted(len(logs), 'session')}")
-    names = [session_name(log) for log in logs]
-    indexed, code = _build_index(logs, index, settings, config.sessions, names)
+    places = config.places
+    index = _own_index(run, places)
+    before, takeovers, settings = logs_with_takeovers(
+        init, config.takeovers, places.sessions or SESSIONS, config.drives, print_message
+    )
+    indexed, code = _build_own_index([*before, *takeovers], index, settings, places)
     added = [indexed.counts[name] for name in map(session_name, takeovers) if name in indexed.counts]
-    if takeovers and not any(count.training for count in added):
+    if not any(count.training for count in added):
         shutil.rmtree(index)
         raise UserError(f"{first_of([str(log) for log in takeovers])}: no frame of a takeover to learn from")
     return index, code
 
 
-def _index_of(config: Train, like: Path | None) -> tuple[Path, int]:
-    """The index to train on, built if missing, and the exit code of its notices. `like` is the run to resume or
-    repeat."""
+def _own_index(run: Path, places: Places) -> Path:
+    """The folder of the index that is built for one run. Raises UserError if it exists."""
+    index = (places.index or INDEX).with_name(f"index-{run.name}")
+    if index.exists() or index.is_symlink():
+        raise UserError(f"{index} exists already, perhaps of a stopped training: remove it, or give a new --name")
+    return index
+
+
+def _build_own_index(
+    logs: Sequence[Location], index: Path, settings: IndexConfig, places: Places
+) -> tuple[Indexed, int]:
+    print_message(f"{index}: built of {counted(len(logs), 'session')}")
+    return _build_index(logs, index, settings, places.sessions or SESSIONS, [session_name(log) for log in logs])
+
+
+def _index_of_run(run: Path, places: Places) -> tuple[Path, int]:
+    """The index of the samples that a run was trained on, built if missing, and the exit code of its notices."""
+    from dataset.samples.samples_format import SAMPLES_NAME
+    from model.runs.reproduce import index_of_run
+    from model.runs.run_inputs import sessions_of
+
+    given = places.index_of(run)
+    sessions = places.sessions or sessions_of(run) or SESSIONS
+    codes = [DONE]
+    index = index_of_run(run, given, sessions, lambda notice: codes.append(warn(notice)))
+    if (given / SAMPLES_NAME).is_file() and index != real_path(given):
+        print_message(f"{given}: not the samples of {run}, which are in {short_path(index)}")
+    return index, max(codes)
+
+
+def _index_of_folder(places: Places, recipe: Recipe) -> tuple[Path, int]:
+    """The index of all sessions, built if missing, and the exit code of its notices."""
     from dataset import IndexConfig, find_logs, sessions_not_indexed
     from dataset.missing_index import missing_index
     from dataset.samples.samples_format import SAMPLES_NAME, not_learnt_in
 
-    is_built = (config.index / SAMPLES_NAME).is_file()
-    if like is not None and (config.resume is None or not is_built):
-        from model.runs.reproduce import index_of_run
-
-        codes = [DONE]
-        index = index_of_run(like, config.index, config.sessions, lambda notice: codes.append(warn(notice)))
-        if is_built and index != real_path(config.index):
-            print_message(f"{config.index}: not the samples of {like}, which are in {short_path(index)}")
-        return index, max(codes)
-    if not is_built:
-        index = config.index
+    index, sessions = places.index or INDEX, places.sessions or SESSIONS
+    if not (index / SAMPLES_NAME).is_file():
         # only of the default name, in a folder that exists: another name may be misspelt
-        if not (index.name == Train.index.name and index.parent.is_dir()):
+        if not (index.name == INDEX.name and index.parent.is_dir()):
             raise missing_index(index)
-        print_message(f"{config.index}: no index yet; building it from {config.sessions}")
-        logs, settings = find_logs((), config.sessions), IndexConfig.of(config.config.recipe)
-        _, code = _build_index(logs, config.index, settings, config.sessions)
-        return config.index, code
-    if config.resume is None:
-        for line in not_learnt_in(config.index):
-            print_message(line)
-        if absent := sessions_not_indexed(config.index, config.sessions):
-            print_message(
-                f"{config.index}: does not hold {first_of(absent)}; `bc-index` takes in all of {config.sessions}"
-            )
-    return config.index, DONE
+        print_message(f"{index}: no index yet; building it from {sessions}")
+        _, code = _build_index(find_logs((), sessions), index, IndexConfig.of(recipe), sessions)
+        return index, code
+    for line in not_learnt_in(index):
+        print_message(line)
+    if absent := sessions_not_indexed(index, sessions):
+        print_message(f"{index}: does not hold {first_of(absent)}; `bc-index` takes in all of {sessions}")
+    return index, DONE
 
 
 def _build_index(
@@ -259,9 +353,10 @@ def _build_index(
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["export"]:
-        from model.export_cli import main as export
-
-        export()
     use_large_pages()
-    run_command("bc-train", Train, train, default=defaults)
+    verbs = {
+        "resume": Verb(Resume, resume, defaults_of_resumed),
+        "continue": Verb(Continue, continue_run, defaults_of_continued),
+        "export": Verb(Export, export),
+    }
+    run_verbs("bc-train", Verb(Train, train, defaults_of_new), verbs, EARLIER)

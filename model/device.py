@@ -9,9 +9,14 @@ from typing import Annotated, Final, Literal
 import msgspec
 import torch
 
-from common.process_settings import keep_freed_memory
+from common.errors import UsageError, counted
+from common.process_settings import keep_freed_memory, usable_cores
 from model.config import Device, Precision, TrainConfig
 from model.errors import RunError
+
+_MOST_PER_CORE: Final = 16
+"""Threads for each core. A run of a larger machine may be resumed with its number of threads, on which rounding
+depends."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ def choose_machine(config: TrainConfig, begun: object = None) -> Machine:
 
     Automatic settings are chosen for the device. A resumed or repeated run keeps those of `begun` (the machine in
     its config.json) if the device is of the same kind and supports them. Raises RunError if this machine does not
-    have the device.
+    have the device, UsageError for many more threads than it has cores.
     """
     device = choose_device(config.device)
     if device.type == "cuda":
@@ -72,6 +77,9 @@ def choose_machine(config: TrainConfig, begun: object = None) -> Machine:
     else:
         keep_freed_memory()
     if config.threads:
+        if config.threads > _MOST_PER_CORE * (cores := usable_cores()):
+            most = f"at most {_MOST_PER_CORE * cores}, as this process has {counted(cores, 'core')}"
+            raise UsageError(f"--threads {config.threads}: expected {most}; more are slower")
         torch.set_num_threads(config.threads)
     precision, micro_batch = config.precision, config.micro_batch
     stored = _stored_machine(begun, device)

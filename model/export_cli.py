@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from common.command import DONE, run_command, warn
+from common.command import DONE, warn
 from common.errors import UsageError
 from common.output import print_message, print_next, print_result
 from model.runs.run_arguments import RUNS
@@ -116,7 +115,7 @@ def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     code = warn(f"{folder}: without an ONNX file: {written.onnx_problem}") if written.onnx_problem else DONE
     if not written.has_driven:
         print_message(
-            f"{folder}: its card lists no drives: give `bc-eval {run_argument(run)} --simulator lake mountain`,"
+            f"{folder}: its card lists no drives: give `bc-eval drive {run_argument(run)} --tracks lake mountain`,"
             " and export it again"
         )
     if licence is None:
@@ -125,9 +124,3 @@ def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     name = shlex.quote(run_name(run))
     print_next(f"hf upload {name} {shlex.quote(str(folder))}", "to publish it; nothing is uploaded yet")
     return code
-
-
-def main() -> None:
-    """Run `bc-train export`: `sys.argv` begins with the first argument, `export`."""
-    del sys.argv[1]
-    run_command("bc-train export", Export, export)

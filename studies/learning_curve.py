@@ -60,7 +60,7 @@ def measured(folder: Path, rows: dict[str, int], pictures: int) -> dict[str, Any
     point = {
         "pictures": CAMERAS * track_rows * len(TRACKS),
         "shares": [track_rows / rows[track] for track in TRACKS],
-        "driven": parsed(output_of(folder, "bc-eval", name, "--simulator", *TRACKS, "--json", "--force")),
+        "driven": parsed(output_of(folder, "bc-eval", "drive", name, "--tracks", *TRACKS, "--json", "--force")),
         "offline": {name: offline[name] for name in ("network", "mean", "balanced_rmse_deg") if name in offline},
     }
     keep(kept, point)

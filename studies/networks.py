@@ -190,8 +190,8 @@ def driven(run: Path, track: str) -> dict[str, Any]:
     """The result of `bc-eval` for a lap, from now or from an earlier call."""
     kept = run / f"drive-{track.replace(':', '-')}.json"
     if not kept.exists():
-        words = ("--simulator", track, "--drives", "drives", "--force", "--json")
-        output = output_of(run, "bc-eval", run.absolute(), *words)
+        words = ("--tracks", track, "--drives", "drives", "--force", "--json")
+        output = output_of(run, "bc-eval", "drive", run.absolute(), *words)
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(output)
     results: dict[str, Any] = json.loads(kept.read_text())

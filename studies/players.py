@@ -5,7 +5,7 @@ python studies/players.py FOLDER [--only "devices *"] [--list]
 Devices: players record half a lap of the lake and of the mountain by keys, mouse and gamepad. A network of each
 pair of recordings drives full laps of both tracks and of three unseen roads. Supervision: a beginner is trained on
 a fifth of a lap of the mountain. In two rounds, a player supervises it, each on a road on which it is not
-measured; each round is followed by `bc-train --init RUN --takeovers LOG`. For comparison, another network is
+measured; each round is followed by `bc-train continue RUN --takeovers LOG`. For comparison, another network is
 trained on the beginner's recording and on as many minutes of recording on these roads. All train as the page's
 button does.
 
@@ -123,7 +123,7 @@ class Study:
                 partial(self._supervise, run, road, log, device, 10 * seed + turn),
                 (before,),
             )
-            words = ["--init", run, "--takeovers", log]
+            words = ["continue", run, "--takeovers", log]
             supervised.append(name)
             learn = self._train_step(f"{start} learn {turn}", new_run, words, seed, (name,))
             yield learn
@@ -223,7 +223,7 @@ class Study:
         """Train as the page's button does."""
         how = ("--recipe", TAKEOVERS_RECIPE, "--epochs", EPOCHS_MORE) if "--takeovers" in words else ()
         self._make_way(run)
-        printed = output_of(self.folder, "bc-train", *how, "--name", run, "--seed", seed, *words)
+        printed = output_of(self.folder, "bc-train", *words, *how, "--name", run, "--seed", seed)
         return {"printed": printed[-2000:]}
 
     def _make_way(self, run: str) -> None:
@@ -233,8 +233,8 @@ class Study:
                 leftover.rename(leftover.with_name(f"{leftover.name}.left-{time.time_ns()}"))
 
     def _eval(self, run: str, track: str) -> Result:
-        words = ("--simulator", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
-        return dict(json.loads(output_of(self.folder, "bc-eval", run, *words)))
+        words = ("--tracks", track, "--laps", f"{self.asked.eval_laps:g}", "--json", "--force")
+        return dict(json.loads(output_of(self.folder, "bc-eval", "drive", run, *words)))
 
 
 def make(study: Study, steps: list[Step]) -> int:

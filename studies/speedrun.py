@@ -86,8 +86,8 @@ def drive(folder: Path, run: str, mph: int) -> list[dict[str, Any]]:
     kept = folder / "results" / f"{run}-{mph}mph.json"
     if not kept.exists():
         roads = TRACKS if mph == TRACK_MPH else ROADS
-        words = ("--simulator", *roads, "--speed", mph, "--drives", f"drives/{run}", "--json", "--force")
-        output = output_of(folder, "bc-eval", run, *words)
+        words = ("--tracks", *roads, "--speed", mph, "--drives", f"drives/{run}", "--json", "--force")
+        output = output_of(folder, "bc-eval", "drive", run, *words)
         keep(kept, [json.loads(line) for line in output.splitlines()])
     return list(json.loads(kept.read_text()))
 

@@ -4,7 +4,7 @@ python studies/which_number.py FOLDER [--jobs 2] [--seeds 0 1 2] [--recipes orig
 
 The study records half laps of both tracks by the expert and by the simulated keyboard driver, and other drives
 that are held out. It trains each recipe with each seed, and takes the network after one and four epochs, and after
-ten with the default recipe. Each network predicts the recordings held out, and drives (`bc-eval --simulator`).
+ten with the default recipe. Each network predicts the recordings held out, and drives (`bc-eval drive`).
 
 Existing results in FOLDER are not computed again: stop the study (Ctrl-C) and start it again at any time. Every
 job has one thread, and --jobs of them run at once. At the end, or at any time with --report,
@@ -209,7 +209,7 @@ class Study:
         run = self.folder / "runs" / training
         how = ("--epochs", epochs, "--threads", 1, "--device", "cpu")
         if run.exists():
-            self.jobs.bc(self.folder, "bc-train", "--resume", training, *how)
+            self.jobs.bc(self.folder, "bc-train", "resume", training, *how)
         else:
             index = ("--index", self.folder / "indexes" / file_name(name))
             flags = (*RECIPES[name].train, "--keep", "last", "--seed", seed)
@@ -237,9 +237,9 @@ class Study:
         if kept.exists():
             return
         with tempfile.TemporaryDirectory(dir=self.folder / "drives") as logs:
-            flags = ("--simulator", *DRIVEN, "--laps", 0.25, "--speed", 15)
+            flags = ("--tracks", *DRIVEN, "--laps", 0.25, "--speed", 15)
             output = self.jobs.bc(
-                self.folder, "bc-eval", network, "--runs", "networks", *flags, "--drives", logs, "--json"
+                self.folder, "bc-eval", "drive", network, "--runs", "networks", *flags, "--drives", logs, "--json"
             )
         with atomic_file(kept, overwrite=True) as part:
             part.write_text(output)

@@ -295,7 +295,7 @@ def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> No
 @pytest.mark.long
 def test_drives_on_a_cluster_have_the_numbers_of_drives_one_by_one(tmp_path: Path, cluster: Any) -> None:
     untrained_run(tmp_path / "runs" / "untrained")
-    drives = ["--simulator", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
+    drives = ["drive", "--tracks", "lake", "--speed", 8, 12, "--laps", 0.002, "--json"]
     local = run_alone("bc-eval", *drives, "--drives", "here", cwd=tmp_path)
     remote = run_alone("bc-eval", *drives, "--drives", "there", "--ray", cluster.address, cwd=tmp_path)
     assert (local.returncode, remote.returncode) == (0, 0), remote.stderr

@@ -61,13 +61,13 @@ def test_commands_work_where_neither_obstore_nor_ray_is(tmp_path: Path, monkeypa
     assert call(bc_log, "info", log) == call(bc_log, "check", log) == call(bc_log, "ls", "sessions") == 0
     assert call(bc_index, "--block-s", "0.5", "--gap-s", "0", "--look", "--check") == 0
     assert call(bc_train, "--name", "a", "--network", "small", "--epochs", 1, "--batch", 10, "--threads", 1) == 0
-    assert call(bc_train, "--resume", "a", "--epochs", 2) == 0
+    assert call(bc_train, "resume", "a", "--epochs", 2) == 0
     assert call(bc_eval, "a") == call(bc_runs) == 0
 
 
 def test_no_command_loads_them() -> None:
     speaking = those_that_load()
-    assert speaking >= {"common.object_store", "recorder.upkeep.copy_log"}
+    assert speaking >= {"common.object_store", "recorder.log_copy_cli"}
     begun = re.findall(
         r'_command\("bc-[\w-]+", "([\w.]+)"\)', (ROOT / "behavioural_cloning_toolkit.py").read_text()
     )

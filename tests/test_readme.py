@@ -32,8 +32,8 @@ def test_the_loop_waits_for_nobody_and_uses_what_it_has_made() -> None:
     for line in lines:
         assert line[0] != "bc-web"
         assert line[0] != "bc-play" or "--video" in line, line
-        if "--simulator" in line:
-            assert recorded.issuperset(line[line.index("--simulator") + 1 :]), line
+        for flag in {"--simulator", "--tracks"}.intersection(line):
+            assert recorded.issuperset(line[line.index(flag) + 1 :]), line
 
 
 @pytest.mark.parametrize("line", re.findall(r"^.*install.*constraints\.txt.*$", README, re.MULTILINE))

@@ -19,11 +19,11 @@ from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from model.pilot import NetworkAnswer
 from recorder.log.session_car import UDACITY
-from recorder.rows.devices import Device
-from recorder.server.braking import WALKING_MPH, EmergencyBrake
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.world import World, WorldNotices
+from recorder.teleop.pedals import WALKING_MPH, EmergencyBrake
+from recorder.topics import Device
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 MIN_AHEAD_S: Final = 0.5

@@ -1,4 +1,4 @@
-"""The tables and lines that `bc-eval --compare` prints."""
+"""The tables and lines that `bc-eval compare` prints."""
 
 from __future__ import annotations
 

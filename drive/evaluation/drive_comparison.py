@@ -1,6 +1,6 @@
 """Two runs compared by driving the same tracks at the same speeds, stretch of road by stretch of road.
 
-bc-eval --compare A B --simulator lake mountain random:1
+bc-eval compare A B --tracks lake mountain random:1
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.autonomy import INTERVENTION_COST_S
 from drive.control.course_events import PUT_BACK
 from drive.evaluation.closed_loop import DriveResult
 from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import CONFIDENCE, Difference, Measure, Verdict, compare_sums, overall
 from recorder import Log
 from recorder.topics import EVENTS, POSE
+from simulator.driving.course import INTERVENTION_COST_S
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M
 from simulator.roads.track import Track, load_track
 

@@ -11,14 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from common import UserError
-from common.command import DONE, DONE_BUT_SKIPPED, FAILED, run_command, usage_errors, warn, warn_skipped
-from common.errors import counted
+from common.command import DONE, DONE_BUT_SKIPPED, FAILED, usage_errors, warn, warn_skipped
+from common.errors import UsageError, counted
 from common.output import print_message, print_next, print_result
 from common.progress import progress_bar, track
 from common.ray_flag import tasks_of
 from common.tasks import in_processes, one_by_one
 from common.untrusted import real_path
-from drive.evaluation.eval_flags import Eval, refuse_contradictions
+from common.verbs import Verb, run_verbs
+from drive.evaluation.eval_flags import EARLIER, DriveFlags, Eval, EvalCompare, EvalDrive, FrameFlags
 
 if TYPE_CHECKING:
     from drive.evaluation.closed_loop import DriveResult, PlannedDrive
@@ -26,14 +27,7 @@ if TYPE_CHECKING:
     from model.evaluation.evaluate import Evaluation
 
 
-def evaluate(config: Eval) -> int:
-    refuse_contradictions(config)
-    if config.compare is not None:
-        return _compare(config, config.compare)
-    return _measure(config) if config.simulator is None else _drive(config)
-
-
-def _find_runs(config: Eval, *names: str | None) -> list[Path]:
+def _find_runs(config: Eval | EvalDrive | EvalCompare, *names: str | None) -> list[Path]:
     """Find the runs with these names, and load the code of --network that they need."""
     from model import find_run
     from model.runs.run_folder import load_named
@@ -43,12 +37,12 @@ def _find_runs(config: Eval, *names: str | None) -> list[Path]:
     return runs
 
 
-def _measure(config: Eval) -> int:
+def measure(config: Eval) -> int:
     from drive.kept_drive import keep
     from model.runs.worst_pictures import worst_frames
 
     (run,) = _find_runs(config, config.run)
-    measured_on, (evaluation,) = _evaluations(config, [run])
+    measured_on, (evaluation,) = _evaluations(config.frames, [run])
     code = keep(run, "frames", {**measured_on, **evaluation.as_dict()})
     worst_count = 10 * config.json if config.worst is None else config.worst
     worst = worst_frames(evaluation.frames, worst_count, evaluation.max_deg)
@@ -62,21 +56,22 @@ def _measure(config: Eval) -> int:
         print_evaluation(evaluation, worst, bins=config.bins)
         _print_measured_on(measured_on)
     code = max(code, _print_notices(evaluation, measured_on))
-    _print_verdict(config, run, evaluation)
+    if not config.json:
+        _print_verdict(run, evaluation)
     return code
 
 
-def _evaluations(config: Eval, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
+def _evaluations(frames: FrameFlags, runs: Sequence[Path]) -> tuple[dict[str, str | None], list[Evaluation]]:
     """The measured index and split (None for whole sessions), and the runs' predictions. Without --index, it is
     the index of the first run."""
     from dataset import find_logs
     from model.evaluation.evaluate import evaluate_runs, evaluate_runs_on_sessions
 
-    if config.session is not None:
-        logs = find_logs(config.session, config.sessions or Path("sessions"))
+    if frames.session:
+        logs = find_logs(frames.session, frames.sessions)
         return {"index": None, "split": None}, evaluate_runs_on_sessions(runs, logs)
-    index, split = config.index or _index_of(runs[0]), config.split or "validation"
-    return {"index": str(index), "split": split}, evaluate_runs(runs, index, split)
+    index = frames.index or _index_of(runs[0])
+    return {"index": str(index), "split": frames.split}, evaluate_runs(runs, index, frames.split)
 
 
 def _print_measured_on(measured_on: dict[str, str | None]) -> None:
@@ -125,27 +120,27 @@ def _print_learnt(evaluation: Evaluation, measured_on: dict[str, str | None]) ->
     return DONE
 
 
-def _compare(config: Eval, runs: tuple[str, str]) -> int:
+def compare(config: EvalCompare) -> int:
     """Compare two runs. Returns exit code 3 if there is no verdict, and with --gate 1 if B is worse."""
     from model.runs.run_folder import run_name
 
-    a, b = _find_runs(config, *runs)
+    a, b = _find_runs(config, config.a, config.b)
     names = run_name(a), run_name(b)
     if real_path(a) == real_path(b):
         warn(f"{names[0]}: A and B are the same run, which is never worse than itself; give another run as B")
-    compare = _compare_on_frames if config.simulator is None else _compare_by_driving
-    verdict, code = compare(config, a, b, names)
+    compare_runs = _compare_by_driving if config.tracks else _compare_on_frames
+    verdict, code = compare_runs(config, a, b, names)
     if config.gate and verdict == "worse":
         return FAILED
     return DONE_BUT_SKIPPED if verdict == "unknown" else code
 
 
-def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
+def _compare_on_frames(config: EvalCompare, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
     from model.evaluation.differences import overall
     from model.evaluation.run_comparison import Comparison
     from model.runs.run_arguments import run_argument
 
-    measured_on, (evaluation_a, evaluation_b) = _evaluations(config, [a, b])
+    measured_on, (evaluation_a, evaluation_b) = _evaluations(config.frames, [a, b])
     comparison = Comparison(evaluation_a.driving, evaluation_b.driving, config.tolerance or 0.0)
     if config.json:
         print_result(json.dumps({**measured_on, **comparison.as_dict()}))
@@ -160,17 +155,15 @@ def _compare_on_frames(config: Eval, a: Path, b: Path, names: tuple[str, str]) -
     code = max(_print_notices(evaluation_a, measured_on), learnt_code)
     if not config.json:
         runs = f"{run_argument(a)} {run_argument(b)}"
-        print_next(f"bc-eval --compare {runs} --simulator lake", "what errors on frames mean for driving")
+        print_next(f"bc-eval compare {runs} --tracks lake", "what errors on frames mean for driving")
     return overall(comparison.differences), code
 
 
-def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
-    from drive.evaluation.closed_loop import DRIVES
+def _compare_by_driving(config: EvalCompare, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
     from drive.evaluation.compare_report import print_drive_comparison
     from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
 
-    drives = _drives(config)
-    logs = config.drives or DRIVES
+    drives, logs = _drives(config.tracks, config.driving), config.driving.drives
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
     drives_a, drives_b = ([results[first + n] for n in range(len(drives))] for first in (0, len(drives)))
     tolerance = TOLERANCE if config.tolerance is None else config.tolerance
@@ -183,17 +176,17 @@ def _compare_by_driving(config: Eval, a: Path, b: Path, names: tuple[str, str]) 
     return comparison.verdict, DONE
 
 
-def _drive(config: Eval) -> int:
-    from drive.evaluation.closed_loop import DRIVES
+def drive(config: EvalDrive) -> int:
     from drive.evaluation.eval_report import print_drives
     from drive.kept_drive import keep
 
-    drives = _drives(config)  # before the seconds that a network takes to load: a track may be misspelt
+    # before the seconds that a network takes to load: a track may be misspelt
+    drives = _drives(config.tracks, config.driving)
     results: dict[int, DriveResult] = {}
     codes = [DONE]
     try:
         (run,) = _find_runs(config, config.run)
-        for number, result in _driven(config, [(run, config.drives or DRIVES)], drives):
+        for number, result in _driven(config, [(run, config.driving.drives)], drives):
             results[number] = result
             codes.append(keep(run, "simulator", result.as_dict()))
             if config.json:
@@ -201,14 +194,13 @@ def _drive(config: Eval) -> int:
     finally:  # show the measured drives even if an error or Ctrl-C stops the others
         if results and not config.json:
             print_drives([results[number] for number in sorted(results)])
-    _print_verdict(config, run)
+    if not config.json:
+        _print_verdict(run)
     return max(codes)
 
 
-def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None) -> None:
+def _print_verdict(run: Path, evaluation: Evaluation | None = None) -> None:
     """Print the verdict on a run: from the errors of `evaluation`, by default from those in the run's folder."""
-    if config.json:
-        return
     from model import judge
 
     try:
@@ -226,25 +218,28 @@ def _print_verdict(config: Eval, run: Path, evaluation: Evaluation | None = None
         warn(str(error))
 
 
-def _drives(config: Eval) -> list[PlannedDrive]:
+def _drives(tracks: Sequence[str], driving: DriveFlags) -> list[PlannedDrive]:
     from drive.config import DriveConfig
     from drive.errors import DriveError
     from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
 
-    laps = 1.0 if config.laps is None else config.laps
+    for flag, values in (("--tracks", tracks), ("--speed", driving.speed)):
+        if len(set(values)) < len(values):
+            raise UsageError(f"{flag} {' '.join(map(str, values))}: give each once")
     with usage_errors(DriveError):
-        check_laps(laps)
-        configs = [DriveConfig(set_speed_mph=speed) for speed in config.speed or (10.0,)]
-    return [(BuiltInSimulator(track, laps), settings) for settings in configs for track in config.simulator or ()]
+        check_laps(driving.laps)
+        configs = [DriveConfig(set_speed_mph=speed) for speed in driving.speed]
+    return [(BuiltInSimulator(track, driving.laps), settings) for settings in configs for track in tracks]
 
 
 def _driven(
-    config: Eval, runs: Sequence[tuple[Path, Path]], drives: Sequence[PlannedDrive]
+    config: EvalDrive | EvalCompare, runs: Sequence[tuple[Path, Path]], drives: Sequence[PlannedDrive]
 ) -> Iterator[tuple[int, DriveResult]]:
     """Make the drives of runs, each given with the folder of its logs. Yields number and result when finished."""
     from drive.driven_car import other_steering
     from drive.evaluation.closed_loop import drive_runs
 
+    driving = config.driving
     for run, _ in runs:
         if line := other_steering(run, None):
             print_message(f"bc-eval: {line}")
@@ -254,12 +249,12 @@ def _driven(
         runs,
         drives,
         networks=config.network,
-        precision=config.precision or "auto",
-        device=config.device or "auto",
-        overwrite=config.force,
+        precision=driving.precision,
+        device=driving.device,
+        overwrite=driving.force,
     )
-    if config.ray is not None:
-        with tasks_of(config.ray, gpus=int(config.device == "cuda")) as tasks:
+    if driving.ray is not None:
+        with tasks_of(driving.ray, gpus=int(driving.device == "cuda")) as tasks:
             yield from track(drive(tasks), "driving", count)
     elif count == 1:
         yield from drive(one_by_one, shows_progress=True)
@@ -273,4 +268,5 @@ def _driven(
 
 
 def main() -> None:
-    run_command("bc-eval", Eval, evaluate)
+    verbs = {"drive": Verb(EvalDrive, drive), "compare": Verb(EvalCompare, compare)}
+    run_verbs("bc-eval", Verb(Eval, measure), verbs, EARLIER)

@@ -46,7 +46,7 @@ class BuiltInSimulator:
         try:
             load_track(self.track)
         except ValueError as error:
-            raise DriveError(f"--simulator {self.track}: {error}") from None
+            raise DriveError(f"{self.track}: {error}") from None
 
 
 def check_laps(laps: float) -> None:

@@ -1,6 +1,6 @@
 """Two runs compared on the same recorded frames.
 
-bc-eval --compare A B
+bc-eval compare A B
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def is_unfinished(numbers: RunNumbers) -> Advice | None:
     learnt, asked = numbers.learnt, numbers.training.epochs
     if learnt >= asked or numbers.training.patience:
         return None
-    return Advice(f"stopped after {learnt:,} of {counted(asked, 'epoch')}", f"bc-train --resume {numbers.run}")
+    return Advice(f"stopped after {learnt:,} of {counted(asked, 'epoch')}", f"bc-train resume {numbers.run}")
 
 
 def has_worse_answers(numbers: RunNumbers) -> Advice | None:
@@ -112,7 +112,7 @@ def is_enough(numbers: RunNumbers) -> Advice | None:
         return Advice(small, numbers.drive_command)
     tracks = "random:1 random:2" if numbers.has_driven_a_lap else "lake mountain"
     why = small if not numbers.has_driven_a_lap else "it needed no intervention on the roads it has driven"
-    return Advice(why, f"bc-eval {numbers.run} --simulator {tracks}")
+    return Advice(why, f"bc-eval drive {numbers.run} --tracks {tracks}")
 
 
 def has_left_the_road(numbers: RunNumbers) -> Advice | None:
@@ -132,7 +132,7 @@ def has_left_the_road(numbers: RunNumbers) -> Advice | None:
 
 def is_still_improving(numbers: RunNumbers) -> Advice | None:
     epochs = [epoch for epoch in numbers.epochs if epoch.measures.frames]
-    more = f"bc-train --resume {numbers.run} --epochs {max(10, 2 * numbers.learnt)}"
+    more = f"bc-train resume {numbers.run} --epochs {max(10, 2 * numbers.learnt)}"
     if not epochs:
         return None
     errors = [epoch.measures.driving_error for epoch in epochs]
@@ -188,7 +188,7 @@ def nothing_stands_out(numbers: RunNumbers) -> Advice:
     if numbers.measured is None and not numbers.drives:  # no frame is held out: `bc-eval RUN` would measure none
         drive = numbers.drive_command
         if numbers.is_built_in:
-            drive = f"bc-eval {numbers.run} --simulator lake mountain"
+            drive = f"bc-eval drive {numbers.run} --tracks lake mountain"
         return Advice("nothing of it is measured yet; a drive shows how good it is", drive)
     return Advice("nothing in its numbers stands out; recordings of other roads help most", _record(numbers))
 

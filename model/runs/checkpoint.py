@@ -35,7 +35,7 @@ from model.runs.run_files import CHECKPOINT, LAST, replaced_file
 FORMAT: Final = "2"
 READABLE: Final = ("1", "2")  # format 1 has neither the mean of the last steps' weights nor the answer scale
 
-_WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: --init"
+_WAY_OUT: Final = "copy it again, or train another run, perhaps from its weights: `bc-train continue RUN`"
 _ANOTHER: Final = "the checkpoint of another network than its config.json names"
 _MOMENTS: Final = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 
@@ -104,7 +104,9 @@ def read_position(run: Path) -> Position:
 def _required(run: Path) -> Path:
     path = checkpoint_path(run)
     if not path.is_file():
-        raise RunError(f"{path}: missing; train another run from its weights: --init {run_argument(run)}")
+        raise RunError(
+            f"{path}: missing; train another run from its weights: `bc-train continue {run_argument(run)}`"
+        )
     return path
 
 

@@ -135,15 +135,15 @@ def is_own_network(config: dict[str, Any]) -> bool:
 
 
 def network_settings(config: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Settings of a `TrainConfig` for another training of the same network and targets. A user's own network must
-    be named first. Raises RunError for settings that cannot be used."""
-    choice, picture = choice_of(config, folder), picture_of(config, folder)
+    """Settings of a `TrainConfig` for another training of the same network and targets. Raises RunError for
+    settings that cannot be used."""
+    network, picture = stored_network(config, folder), picture_of(config, folder)
     try:
         stored = msgspec.convert(config.get("training", {}), _StoredSettings)
     except ValueError as error:
         raise RunError(f"{folder}: its training settings cannot be used ({printable(str(error))})") from None
     return {
-        "network": choice.name if choice.code is None else choice.code.name,
+        "network": network.name,
         "network_args": stored.network_args,
         "targets": stored_targets(config, folder),
         "target_weights": stored.target_weights,

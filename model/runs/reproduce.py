@@ -91,7 +91,7 @@ def logs_with_takeovers(
     if known := [str(log) for log in takeovers if log not in new]:
         line = f"{first_of(known)}: {run} has already learned from {'it' if len(known) == 1 else 'them'}"
         if not new:
-            raise RunError(f"{line}; to train longer, give `bc-train --resume {run_argument(run)} --epochs N`")
+            raise RunError(f"{line}; to train longer, give `bc-train resume {run_argument(run)} --epochs N`")
         on_notice(line)
     return logs, new, replace(settings, drives="takeovers")
 

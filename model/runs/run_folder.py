@@ -72,7 +72,7 @@ def refuse_existing_run(folder: Path) -> None:
     if (folder / CONFIG).is_file():
         raise RunError(
             f"{folder}: exists already; give another --name, or continue it:"
-            f" `bc-train --resume {run_argument(folder)}`"
+            f" `bc-train resume {run_argument(folder)}`"
         )
     if os.path.lexists(folder):
         raise RunError(f"{folder}: exists already, and is not a run; give another --name, or remove it")
@@ -131,7 +131,7 @@ def find_run(name: str | None, runs: Path | str) -> Path:
                 f"{runs / name}: is being trained, and its first epoch is not finished: wait for it; `bc-runs`"
                 " shows how far it is"
             )
-        resume = f"`bc-train --resume {run_argument(runs / name)}`"
+        resume = f"`bc-train resume {run_argument(runs / name)}`"
         raise RunError(f"{runs / name}: its first epoch is not finished; {resume}")
     raise _missing(name, runs, "trained run", WEIGHTS)
 

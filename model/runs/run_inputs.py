@@ -16,6 +16,7 @@ from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import log_place
 from model.errors import RunError
+from model.runs.run_arguments import run_argument
 from model.runs.run_folder import CONFIG, config_folder, find_run, load_config, weights_checksum
 
 
@@ -90,7 +91,10 @@ def init_of(run: Path, runs: Path) -> Path | None:
     is_there = isinstance(place, Path) and place.exists()
     init = find_run(str(place) if is_there else name, runs)
     if weights_checksum(init) != weights_sha256:
-        raise RunError(f"{init}: its weights have changed since {run} was started from them; give --init RUN")
+        raise RunError(
+            f"{init}: its weights have changed since {run} was started from them;"
+            f" `bc-train continue {run_argument(init)}` starts from the new ones"
+        )
     return init
 
 

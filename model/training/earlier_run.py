@@ -1,4 +1,4 @@
-"""Checks of an earlier run from which a training starts (`--init`) or which it resumes (`--resume`)."""
+"""Checks of an earlier run, from whose weights a training starts or which it resumes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def resumed_settings(run: Path, stored: dict[str, Any], config: TrainConfig | No
             flag = f"--{name.replace('_', '-')}"
             raise RunError(
                 f"{run}: began with {flag} {value} and keeps it when resumed; for {flag} {wanted[name]} train"
-                f" another run from its weights: --init {run_argument(run)}"
+                f" another run from its weights: `bc-train continue {run_argument(run)}`"
             )
     return config if config.epochs else replace(config, epochs=before.epochs)
 
@@ -54,9 +54,13 @@ def refuse_other_samples(run: Path, stored: dict[str, Any], samples: Samples) ->
     """Raise RunError if these are not the samples that the run was trained on."""
     if not is_trained_on(stored, run, samples):
         has_weights = (run / WEIGHTS).exists()
-        or_init = f", or train another run from its weights: --init {run_argument(run)}" if has_weights else ""
+        or_init = (
+            f", or train another run from its weights: `bc-train continue {run_argument(run)}`"
+            if has_weights
+            else ""
+        )
         raise RunError(
-            f"{samples.path}: not the samples that {run} was trained on; `bc-train --resume {run_argument(run)}"
+            f"{samples.path}: not the samples that {run} was trained on; `bc-train resume {run_argument(run)}"
             f" --index {shlex.quote(f'{samples.path.parent}-{run.name}')}` rebuilds its samples{or_init}"
         )
 
@@ -93,7 +97,7 @@ def refuse_other_network(
     if before.name != network.name and not (is_own(before.name) and is_own(network.name)):
         raise RunError(
             f"{init}: its network is {printable(before.name)}, and {printable(network.name)} cannot start from its"
-            f" weights; give {network_flag(before, folder)}, or another --init"
+            f" weights; give {network_flag(before, folder)}, or continue another run"
         )
     answered = stored_targets(config, folder)
     if answered != targets:

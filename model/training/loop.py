@@ -147,7 +147,7 @@ class TrainingLoop:
         if self.position.batch > self.loader.batches:
             raise RunError(
                 f"{path}: is at batch {self.position.batch:,}, but an epoch has {self.loader.batches:,};"
-                " train another run, perhaps from its weights: --init"
+                " train another run, perhaps from its weights: `bc-train continue RUN`"
             )
         position = self.position
         self.answers = AnswerScale(position.answer_scale, position.answer_offset, position.answer_curve)
@@ -300,7 +300,7 @@ class TrainingLoop:
 
     def _diverged(self) -> RunError:
         kept = (
-            f"the best earlier epoch is kept: `bc-train --init {run_argument(self.run)}`"
+            f"the best earlier epoch is kept: `bc-train continue {run_argument(self.run)}`"
             if self.writer.has_best
             else "train again"
         )

@@ -26,7 +26,6 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         # of another kind than the flag takes
         (bc_train, ["--epochs", "two"], "bc-train: --epochs: expected a whole number"),
         (bc_train, ["--on"], "bc-train: --on: expected SESSION [SESSION ...] after it"),
-        (bc_train, ["--init", "a", "--takeovers", "--name", "b"], "bc-train: --takeovers: expected LOG [LOG ...]"),
         (bc_train, ["--alter-each-epoch", "--epochs", "2"], "bc-train: --alter-each-epoch: expected at least one"),
         (bc_index, ["--alter"], "bc-index: --alter: expected at least one word after it"),
         (bc_index, ["a", "--validation", "--no-flip"], "bc-index: --validation: expected SESSION [SESSION ...]"),
@@ -40,7 +39,7 @@ TRIM = ("trim", "a.mcap", "--to", "b.mcap")
         # an empty word, of a shell's unset variable, is not the current folder
         (bc_import, ["", "a"], "bc-import: '': expected SOURCE"),
         (bc_record, ["a", "--sessions="], "bc-record: --sessions: expected PATH"),
-        (bc_train, ["--init", "a", "--takeovers", "b", ""], "bc-train: --takeovers: expected LOG [LOG ...]"),
+        (bc_train, ["resume", "--epochs", "2"], "bc-train resume: --epochs: RUN comes first, then the flags"),
         (bc_log, ["ls", ""], "bc-log: '': expected [FOLDER|LOG ...]"),
         (bc_doctor, [""], "bc-doctor: '': expected [PATH]"),
         # a number that is never valid

@@ -268,7 +268,7 @@ def test_trainings_log_lines_are_messages_in_commands_that_load_a_run(
     commands: list[tuple[Callable[[], None], tuple[object, ...]]] = [
         (bc_eval, ("RUN", "--index", index)),
         (bc_play, (cwd / "toy.mcap", "--run", "RUN", "--write", cwd / "said.mcap")),
-        (bc_train, ("--name", "next", "--init", "RUN", *flags)),
+        (bc_train, ("continue", "RUN", "--name", "next", *flags)),
         (bc_drive, ("RUN", "--log", cwd / "drive.mcap", "--port", 0, "--viewer", "nowhere")),
     ]
     threads = torch.get_num_threads()

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from common.verbs import in_verbs
+from drive.evaluation.eval_flags import EARLIER as OF_EVAL
+from model.train_flags import EARLIER as OF_TRAIN
 from recorder.cli import EARLIER as OF_RECORD
 from recorder.cli import main as bc_record
 from tests.helpers.udacity import call
@@ -26,6 +28,31 @@ from tests.helpers.udacity import call
 )
 def test_a_line_of_version_0_3_is_typed_with_a_verb_now(earlier: str, now: str) -> None:
     assert in_verbs(earlier.split(), OF_RECORD) == now.split()
+
+
+@pytest.mark.parametrize(
+    ("earlier", "now"),
+    [
+        ("--resume first --epochs 20", "resume first --epochs 20"),
+        ("--name next --init=first --takeovers a.mcap", "continue first --name next --takeovers a.mcap"),
+        ("--name first --epochs 2", "--name first --epochs 2"),
+    ],
+)
+def test_a_training_of_version_0_3_is_typed_with_a_verb_now(earlier: str, now: str) -> None:
+    assert in_verbs(earlier.split(), OF_TRAIN) == now.split()
+
+
+@pytest.mark.parametrize(
+    ("earlier", "now"),
+    [
+        ("first --simulator lake mountain --laps 2", "drive first --tracks lake mountain --laps 2"),
+        ("--compare a b --gate", "compare a b --gate"),
+        ("--compare a b --simulator lake", "compare a b --tracks lake"),
+        ("first --bins", "first --bins"),
+    ],
+)
+def test_an_evaluation_of_version_0_3_is_typed_with_a_verb_now(earlier: str, now: str) -> None:
+    assert in_verbs(earlier.split(), OF_EVAL) == now.split()
 
 
 def test_an_earlier_line_still_works_and_names_the_new_one(

@@ -108,7 +108,7 @@ def test_the_folder_it_writes_imports_to_the_same_session(
         (sim_main, ("--port", "1", "--wait", "0", "--track")),
         (record_main, ("x", "--track")),
         (drive_main, ("--simulator",)),
-        (eval_main, ("--simulator",)),
+        (eval_main, ("drive", "--tracks")),
     ],
 )
 def test_an_unknown_track_ends_every_command_with_one_code_and_a_guess(
@@ -120,7 +120,7 @@ def test_an_unknown_track_ends_every_command_with_one_code_and_a_guess(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert call(main, *arguments, "lkae") == 1
-    assert f"{arguments[-1]} lkae: no such track; did you mean lake?" in one_line_in(capsys)
+    assert "lkae: no such track; did you mean lake?" in one_line_in(capsys)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,18 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
     """One here, one as a user calls it."""
     drives = [(BuiltInSimulator("lake", 0.002), DriveConfig())]
     with Child(
-        command("bc-eval", pilot_run, "--simulator", "lake", "--laps", 0.002, "--drives", tmp_path / "b", "--json")
+        command(
+            "bc-eval",
+            "drive",
+            pilot_run,
+            "--tracks",
+            "lake",
+            "--laps",
+            0.002,
+            "--drives",
+            tmp_path / "b",
+            "--json",
+        )
     ) as child:
         (called,) = evaluate(load_pilot(pilot_run), drives, tmp_path / "a")
         assert child.join() == 0, child.stderr
@@ -174,12 +185,19 @@ def test_two_evaluations_go_the_same_way_and_each_is_logged(pilot_run: Path, tmp
 
 
 @pytest.mark.needs("no_gpu")
-@pytest.mark.parametrize("main", [drive_main, eval_main])
+@pytest.mark.parametrize(
+    ("main", "verb", "tracks"), [(drive_main, (), "--simulator"), (eval_main, ("drive",), "--tracks")]
+)
 def test_a_gpu_that_is_not_there_is_one_line(
-    pilot_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], main: Callable[[], None]
+    pilot_run: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    main: Callable[[], None],
+    verb: tuple[str, ...],
+    tracks: str,
 ) -> None:
-    flags = ("--simulator", "lake", "--drives", tmp_path / "logs", "--device", "cuda")
-    assert call(main, pilot_run, *flags) == 1
+    flags = (tracks, "lake", "--drives", tmp_path / "logs", "--device", "cuda")
+    assert call(main, *verb, pilot_run, *flags) == 1
     assert "--device cuda: PyTorch finds no GPU; give --device cpu" in one_line_in(capsys)
     assert not (tmp_path / "logs").exists()
 
@@ -201,7 +219,9 @@ def test_an_evaluation_that_is_stopped_keeps_what_it_drove(
     pilot_run: Path, tmp_path: Path, tracks: tuple[str, ...]
 ) -> None:
     logs, at_once = tmp_path / "drives", min(len(tracks), usable_cores())
-    with Child(command("bc-eval", pilot_run, "--simulator", *tracks, "--laps", 1, "--drives", logs)) as process:
+    with Child(
+        command("bc-eval", "drive", pilot_run, "--tracks", *tracks, "--laps", 1, "--drives", logs)
+    ) as process:
         while sum(part.stat().st_size > 100_000 for part in logs.glob("*.part")) < at_once:
             assert process.popen.poll() is None, process.stderr
             time.sleep(0.05)  # until they are in the middle of driving
@@ -212,13 +232,14 @@ def test_an_evaluation_that_is_stopped_keeps_what_it_drove(
 
 def test_drives_at_the_same_time_are_those_that_are_driven_alone(pilot_run: Path, tmp_path: Path) -> None:
     settings = ("--laps", 0.004, "--speed", 10, 20, "--json", "--drives")
-    together = run("bc-eval", pilot_run, "--simulator", "lake", "mountain", *settings, tmp_path / "together")
+    together = run("bc-eval", "drive", pilot_run, "--tracks", "lake", "mountain", *settings, tmp_path / "together")
     assert together.returncode == 0, together.stderr
     alone = "".join(
         run(
             "bc-eval",
+            "drive",
             pilot_run,
-            "--simulator",
+            "--tracks",
             track,
             "--speed",
             speed,

@@ -1,4 +1,4 @@
-"""`bc-eval --compare A B --simulator`: both drive the same roads, and are compared stretch by stretch."""
+"""`bc-eval compare A B --tracks`: both drive the same roads, and are compared stretch by stretch."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     untrained_run(tmp_path / "runs" / "untrained", seed=1)
-    flags = ("--simulator", "lake", "--laps", 0.002)
-    assert call(main, "--compare", "untrained", "untrained", *flags, "--json") == 0
+    flags = ("--tracks", "lake", "--laps", 0.002)
+    assert call(main, "compare", "untrained", "untrained", *flags, "--json") == 0
     comparison = json.loads(capsys.readouterr().out)
     assert comparison["verdict"] == "not told apart"
     (pair,) = comparison["drives"]
@@ -124,8 +124,8 @@ def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
     assert [pair[side]["log"] for side in "ab"] == [f"drives/{side}/untrained-lake-10mph.mcap" for side in "ab"]
     for name, measure in comparison["measures"].items():
         assert measure["a"] == pytest.approx(pair["a"][name], rel=0.05, abs=0.02), name
-    assert call(main, "--compare", "untrained", "untrained", *flags) == 1  # the logs are there already
+    assert call(main, "compare", "untrained", "untrained", *flags) == 1  # the logs are there already
     assert "exists already: give --drives FOLDER for another place, or give --force" in capsys.readouterr().err
-    assert call(main, "--compare", "untrained", "untrained", *flags, "--force") == 0
+    assert call(main, "compare", "untrained", "untrained", *flags, "--force") == 0
     logs = "drives/a/untrained-lake-10mph.mcap drives/b/untrained-lake-10mph.mcap"
     assert f"bc-play {logs} --by place`" in capsys.readouterr().err.splitlines()[-1]

@@ -1,4 +1,4 @@
-"""`bc-drive --takeover`, then `bc-train --takeovers`: a network learns where an expert had to take over."""
+"""`bc-drive --takeover`, then `bc-train continue`: a network learns where an expert had to take over."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.helpers.udacity import call
 
 SETTINGS = IndexConfig(cameras=("center",), balance=False, flip=False, block_s=1.0, gap_s=0.0)
 DRIVE = Path("takeovers.mcap")
-LEARN = ("--init", "first", "--takeovers", DRIVE, "--name", "next", "--epochs", 1)
+LEARN = ("continue", "first", "--takeovers", DRIVE, "--name", "next", "--epochs", 1)
 
 
 def a_session(path: Path, first: int, rows: int, car: Car | None = None) -> Path:
@@ -75,7 +75,7 @@ def learnt_from() -> dict[str, list[dict[str, float]]]:
 def test_the_next_run_learns_from_the_session_and_the_takeovers_alone(capsys: pytest.CaptureFixture[str]) -> None:
     where = ("--simulator", "random:3", "--laps", 0.04, "--speed", 20, "--viewer", "off")
     assert call(drive_main, "first", *where, "--takeover", "--log", DRIVE) == 0
-    assert f"bc-train --init first --takeovers {DRIVE}" in capsys.readouterr().err
+    assert f"bc-train continue first --takeovers {DRIVE}" in capsys.readouterr().err
     driven = commands()
     expert = [command for command in driven if command.driver == PilotCommand.EXPERT]
     assert 0 < len(expert) < len(driven)

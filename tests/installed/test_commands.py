@@ -35,12 +35,14 @@ def test_every_public_name_is_there_without_any_extra(made: Toolkit, room: str) 
 
 def test_a_run_is_evaluated_and_drives(made: Toolkit) -> None:
     assert "degrees" in made.do("bc-eval", "first")
-    assert "lake" in made.do("bc-eval", "first", "--simulator", "lake", "--laps", 0.02, "--drives", "evaluated")
+    assert "lake" in made.do(
+        "bc-eval", "drive", "first", "--tracks", "lake", "--laps", 0.02, "--drives", "evaluated"
+    )
     assert "first" in made.do("bc-runs")
     assert "lake" in made.do("bc-log", "ls")
-    made.do("bc-train", "--resume", "first", "--epochs", 2)
-    made.do("bc-train", "--init", "first", "--name", "more", "--network", "small", "--epochs", 1)
-    assert made.run("bc-eval", "--compare", "first", "more").code in (0, 3)  # 3: too few frames for a verdict
+    made.do("bc-train", "resume", "first", "--epochs", 2)
+    made.do("bc-train", "continue", "first", "--name", "more", "--network", "small", "--epochs", 1)
+    assert made.run("bc-eval", "compare", "first", "more").code in (0, 3)  # 3: too few frames for a verdict
     assert made.run("bc-doctor").code in (0, 3)
 
 

@@ -68,10 +68,10 @@ def test_the_command_keeps_it_and_like_and_resume_repeat_it(
     assert weights(tmp_path / "second") == weights(tmp_path / "first")
     assert call(main, "--like", "first", "--name", "third", "--alter-each-epoch", "none", *places) == 0
     assert weights(tmp_path / "third") != weights(tmp_path / "first")
-    assert call(main, "--resume", "first", "--epochs", 2, *places) == 0
+    assert call(main, "resume", "first", "--epochs", 2, *places) == 0
     assert settings(tmp_path / "first")["alter_each_epoch"] == ["noise", "move"]
     capsys.readouterr()
-    assert call(main, "--resume", "first", "--epochs", 3, "--alter-each-epoch", "all", *places) == 1
+    assert call(main, "resume", "first", "--epochs", 3, "--alter-each-epoch", "all", *places) == 1
     assert "began with --alter-each-epoch" in capsys.readouterr().err
 
 

@@ -71,7 +71,7 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(cwd: Path, capsys: p
     assert epoch.validation_loss == pytest.approx((epoch.measures.network.rmse_deg / 30) ** 2)
     for line in (
         (bc_eval, "own", "--index", "index-plain"),
-        (bc_train, "--init", "own", "--index", "index-plain", "--name", "both", *SMALL),
+        (bc_train, "continue", "own", "--index", "index-plain", "--name", "both", *SMALL),
     ):
         assert call(*line) == 1
         assert "steering 1 turns the wheels by 30 degrees" in capsys.readouterr().err

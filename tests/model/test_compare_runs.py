@@ -1,4 +1,4 @@
-"""`bc-eval --compare A B`: a run that is worse fails, and one that is the same passes."""
+"""`bc-eval compare A B`: a run that is worse fails, and one that is the same passes."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def swap_channels(weights: Weights) -> None:
 
 def compared(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, Json, list[str]]:
     """Exit code, the JSON, and the messages."""
-    code = call(main, "--compare", *arguments, "--json")
+    code = call(main, "compare", *arguments, "--json")
     told = capsys.readouterr()
     (line,) = told.out.splitlines()
     result: Json = json.loads(line, parse_constant=pytest.fail)
@@ -166,11 +166,11 @@ def test_of_too_few_blocks_nothing_is_said_but_that(
     code, result, _ = compared(capsys, "good", "shifted", "--session", log)
     assert (code, result["verdict"], result["blocks"]) == (3, "unknown", 5)
     assert result["measures"]["rmse_deg"]["low"] is None
-    assert call(main, "--compare", "good", "shifted", "--session", log) == 3
+    assert call(main, "compare", "good", "shifted", "--session", log) == 3
     assert "at least 6 blocks" in capsys.readouterr().err
     assert compared(capsys, "good", "good", "--session", log)[0] == 0  # the same answers are no worse
     log = write_log(tmp_path / "one.mcap", STEERING[:5], posts(STEERING), cameras=["center"], step_ns=STEP_NS)
-    assert call(main, "--compare", "good", "shifted", "--session", log) == 3
+    assert call(main, "compare", "good", "shifted", "--session", log) == 3
     assert "5 frames in 1 block of 5 s" in capsys.readouterr().out
 
 
@@ -188,9 +188,9 @@ def test_the_frames_are_those_that_the_index_of_a_holds_out(cwd: Path, capsys: p
 
 def test_the_table_tells_what_the_json_does(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, result, _ = compared(capsys, "good", "shifted", "--session", "new")
-    assert call(main, "--compare", "good", "shifted", "--session", "new") == 0  # compared; only a gate fails
+    assert call(main, "compare", "good", "shifted", "--session", "new") == 0  # compared; only a gate fails
     shown = capsys.readouterr()
-    assert "bc-eval --compare good shifted --simulator lake`" in shown.err.splitlines()[-1]
+    assert "bc-eval compare good shifted --tracks lake`" in shown.err.splitlines()[-1]
     lines = shown.out.splitlines()
     assert max(map(len, lines)) <= 80
     assert [line.rstrip() for line in lines[:2]] == ["A: good", "B: shifted"]
@@ -208,13 +208,12 @@ def test_the_table_tells_what_the_json_does(cwd: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["good", "--compare", "good", "shifted"], "good: --compare names its two runs"),
-        (["--compare", "good", "shifted", "--worst", 3], "--worst"),
-        (["--compare", "good", "shifted", "--tolerance", -0.1], "--tolerance -0.1"),
-        (["--compare", "good", "shifted", "--laps", 1], "--laps: only with --simulator"),
-        (["good", "--tolerance", 0.1], "--compare"),
-        (["good", "--gate"], "--compare"),
-        (["--compare", "good", "shiftde"], "did you mean shifted"),
+        (["compare", "good", "shifted", "--worst", 3], "--worst"),
+        (["compare", "good", "shifted", "--tolerance", -0.1], "--tolerance -0.1"),
+        (["compare", "good", "shifted", "--laps", 2], "--laps: only with --tracks"),
+        (["compare", "good", "shifted", "--tracks", "lake", "--session", "new"], "--session: not with --tracks"),
+        (["compare", "good"], "B is missing"),
+        (["compare", "good", "shiftde"], "did you mean shifted"),
     ],
 )
 def test_what_cannot_be_compared_is_one_line(

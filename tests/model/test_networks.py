@@ -267,10 +267,10 @@ def test_a_training_sees_as_the_run_from_which_it_starts(
     runs: Path, index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], light: Light, recipe: str
 ) -> None:
     flags = ["--recipe", recipe, "--network", "small", "--epochs", 1, "--threads", 1, "--batch", 6]
-    line = ["--init", runs / light, *flags, "--index", index, "--runs", tmp_path]
-    assert call(main, "--name", "next", *line) == 0
+    line = ["continue", runs / light, *flags, "--index", index, "--runs", tmp_path]
+    assert call(main, *line, "--name", "next") == 0
     assert load_network(tmp_path / "next").standardized == (light == "standardized")
     [other] = set(LIGHTS) - {light}
     capsys.readouterr()
-    assert call(main, "--name", "other", *line, "--light", other) == 1
+    assert call(main, *line, "--name", "other", "--light", other) == 1
     assert f"its network sees pictures with --light {light}; give this flag" in capsys.readouterr().err

@@ -68,7 +68,7 @@ def test_takeovers_are_learnt_on_top_of_all_that_was_learnt_before(project: Path
     assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
     drives = [supervised_drive(Path(f"drives/{name}.mcap"), first) for name, first in (("a", 1000), ("b", 2000))]
     for name, init, drive in (("second", "first", drives[0]), ("third", "second", drives[1])):
-        assert call(main, "--name", name, "--init", init, "--takeovers", drive, "--epochs", "1") == 0
+        assert call(main, "continue", init, "--name", name, "--takeovers", drive, "--epochs", "1") == 0
     rows = sessions_in("index-third")
     assert set(rows) == {"lake", "a", "b"}
     assert rows["a"] | rows["b"] <= set(TAKEN)
@@ -81,14 +81,23 @@ def test_takeovers_that_were_learned_before_are_named(project: Path, capsys: pyt
     assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
     old, new = supervised_drive(Path("drives/old.mcap")), supervised_drive(Path("drives/new.mcap"), 2000)
     idle = supervised_drive(Path("drives/idle.mcap"), 3000, taken=range(0))
-    assert call(main, "--name", "second", "--init", "first", "--takeovers", old, "--epochs", "1") == 0
-    again = ("--init", "second", "--epochs", "1", "--takeovers", Path("drives/../drives/old.mcap"))
-    assert call(main, "--name", "third", *again) == 1
+    assert call(main, "continue", "first", "--name", "second", "--takeovers", old, "--epochs", "1") == 0
+    again = (
+        "continue",
+        "second",
+        "--name",
+        "third",
+        "--epochs",
+        "1",
+        "--takeovers",
+        Path("drives/../drives/old.mcap"),
+    )
+    assert call(main, *again) == 1
     assert "old.mcap: runs/second has already learned from it; to train longer" in capsys.readouterr().err
-    assert call(main, "--name", "third", *again, idle) == 1
+    assert call(main, *again, idle) == 1
     assert f"{idle}: no frame of a takeover" in capsys.readouterr().err
     assert not Path("index-third").exists()
-    assert call(main, "--name", "third", *again, new) == 0
+    assert call(main, *again, new) == 0
     assert "old.mcap: runs/second has already learned from it\n" in capsys.readouterr().err
     assert set(sessions_in("index-third")) == {"lake", "old", "new"}
 
@@ -97,10 +106,10 @@ def test_a_drive_is_named_as_other_commands_name_it(project: Path, capsys: pytes
     """A mistyped drive is not left out of the training."""
     assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
     drive = supervised_drive(Path("drives/run.mcap"))
-    again = ("--name", "second", "--init", "first", "--epochs", "1", "--takeovers")
+    again = ("continue", "first", "--name", "second", "--epochs", "1", "--takeovers")
     for wrong in ("rum", "drives/rum.mcap"):
         assert call(main, *again, wrong, drive) == 1
-        assert "bc-train: drives/rum.mcap: no such log" in capsys.readouterr().err
+        assert "bc-train continue: drives/rum.mcap: no such log" in capsys.readouterr().err
     assert not Path("index-second").exists()
     assert call(main, *again, "run") == 0
     assert set(sessions_in("index-second")) == {"lake", "run"}
@@ -109,7 +118,7 @@ def test_a_drive_is_named_as_other_commands_name_it(project: Path, capsys: pytes
 def test_a_drive_without_a_takeover_teaches_nothing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "--name", "first", "--on", "lake", *SMALL) == 0
     drive = supervised_drive(Path("drives/a.mcap"), taken=range(0))
-    assert call(main, "--name", "second", "--init", "first", "--takeovers", drive) == 1
+    assert call(main, "continue", "first", "--name", "second", "--takeovers", drive) == 1
     assert f"{drive}: no frame of a takeover to learn from" in capsys.readouterr().err
     assert not Path("index-second").exists()
     assert not Path("runs/second").exists()

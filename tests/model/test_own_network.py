@@ -118,7 +118,7 @@ def test_nobodys_code_runs_because_a_run_names_it(
     flag = f"--network {run / 'network.py'}:Stranger"
     refused = rf"mine: its network is net\.py:Stranger, code that runs only if you name it: {flag}"
     lines: list[tuple[Callable[[], None], list[str]]] = [
-        (main, ["--resume", "mine"]),
+        (main, ["resume", "mine"]),
         (main, ["--like", "mine", "--name", "other"]),
         (main, ["export", "mine", "--onnx"]),
         (bc_eval, ["mine"]),
@@ -132,7 +132,7 @@ def test_nobodys_code_runs_because_a_run_names_it(
         load_pilot(run)
     assert not has_run.exists()
     assert not Path(f"{run / 'network.py'}.has-run").exists()
-    assert call(main, "--resume", "mine", "--runs", run.parent, "--epochs", 2, *flag.split()) == 0
+    assert call(main, "resume", "mine", "--runs", run.parent, "--epochs", 2, *flag.split()) == 0
     assert "mine: net.py:Stranger, " in capsys.readouterr().out
     assert load_pilot(run)  # it was named by now
 
@@ -142,7 +142,7 @@ def test_commands_to_paste_name_the_network(
 ) -> None:
     _, run = trained(index, tmp_path)
     flag = ["--network", f"{run / 'network.py'}:Net"]
-    assert call(main, "--resume", "mine", "--runs", run.parent, "--epochs", 2, *flag) == 0
+    assert call(main, "resume", "mine", "--runs", run.parent, "--epochs", 2, *flag) == 0
     printed = capsys.readouterr().out.splitlines()
     for line, begin in zip(printed[-3::2], ("drive with `bc-drive", "next: `bc-"), strict=True):
         _, command = line.split(begin, 1)

@@ -293,7 +293,7 @@ def test_the_speed_of_another_time_is_not_measured_and_that_is_said(folder: Path
 
 
 def test_a_training_like_its_own_has_its_targets_and_their_weights(folder: Path, tmp_path: Path) -> None:
-    """As `bc-train --init RUN --takeovers LOG` trains."""
+    """As `bc-train continue RUN --takeovers LOG` trains."""
     config = load_config(folder / "run")
     config["training"]["target_weights"] = [1.0, 0.5, 0.25]
     settings = replace(TrainConfig(epochs=1), **network_settings(config, folder / "run"))

@@ -55,7 +55,7 @@ def test_what_was_good_before_is_kept(index: Path, trained: Path, tmp_path: Path
             tensors[name].fill(1e38)  # the next step throws the weights beyond all numbers
     save_file(tensors, checkpoint, stored)
     before = {path: path.read_bytes() for path in run.rglob("*.safetensors")}
-    with pytest.raises(RunError, match=r"is kept: `bc-train --init \S*/run` with a --rate smaller than 0\.0002"):
+    with pytest.raises(RunError, match=r"is kept: `bc-train continue \S*/run` with a --rate smaller than 0\.0002"):
         train(index, run, replace(ONE, epochs=2), resume=True)
     assert {path: path.read_bytes() for path in run.rglob("*.safetensors")} == before
 
@@ -165,14 +165,17 @@ def test_a_config_that_cannot_be_gone_on_with_is_named(
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--name", "good"], "good: exists already; give another --name, or continue it: `bc-train --resume"),
-        (["--init", "nobody"], "nobody: no trained run there"),
+        (["--name", "good"], "good: exists already; give another --name, or continue it: `bc-train resume"),
+        (["continue", "nobody"], "nobody: no trained run there"),
         (
-            ["--init", "runs/goood"],
-            "bc-train: runs/goood: no trained run there (model.safetensors is missing); did you",
+            ["continue", "runs/goood"],
+            "bc-train continue: runs/goood: no trained run there (model.safetensors is missing); did you",
         ),
-        (["--init", "hub/bad"], "bc-train: hub/bad: no trained run there (model.safetensors is missing); in "),
-        (["--init", "damaged"], "config.json: cannot be read"),
+        (
+            ["continue", "hub/bad"],
+            "bc-train continue: hub/bad: no trained run there (model.safetensors is missing); in ",
+        ),
+        (["continue", "damaged"], "config.json: cannot be read"),
         (["--tensorboard"], "--tensorboard needs TensorBoard: install it with"),
     ],
 )
@@ -210,8 +213,7 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
         (["--alter-each-epoch", "all", "move"], "--alter-each-epoch all move: expected each once"),
         (["--alter-each-epoch", "none", "move"], "--alter-each-epoch none move: expected each once"),
         (["--alter-each-epoch", "move", "move"], "--alter-each-epoch move move: expected each once"),
-        (["--takeovers", "drives/run.mcap"], "--takeovers continues a run: give it with --init RUN"),
-        (["--init", "first", "--on", "lake", "--takeovers", "a.mcap"], "--on, --takeovers: give one of them"),
+        (["--takeovers", "drives/run.mcap"], "--takeovers: was removed; `bc-train continue RUN --takeovers LOG`"),
         (["--threads", 16 * usable_cores() + 1], f"--threads {16 * usable_cores() + 1}: expected"),
         (["--name", "a/b"], "--name 'a/b': expected a plain name"),
         (["--name=-x"], "--name '-x': expected a plain name"),  # `bc-drive -x` would take it for a flag
@@ -238,11 +240,11 @@ def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     assert call(main, "--name", "first", "--epochs", 1, *flags, *places) == 0
     capsys.readouterr()
     with files_of_at_most(800_000):
-        assert call(main, "--resume", "first", "--epochs", 2, "--runs", tmp_path) == 1
+        assert call(main, "resume", "first", "--epochs", 2, "--runs", tmp_path) == 1
     hint, error = capsys.readouterr().err.splitlines()
     path = tmp_path / "first" / "last" / "checkpoint.safetensors"
-    assert error == f"bc-train: {path}: cannot be written (File too large); make room"
-    assert hint.endswith(f"continue with `bc-train --resume {tmp_path / 'first'}`")
+    assert error == f"bc-train resume: {path}: cannot be written (File too large); make room"
+    assert hint.endswith(f"continue with `bc-train resume {tmp_path / 'first'}`")
     with files_of_at_most(10):
         assert call(main, "--name", "second", *flags, *places) == 1
     assert "second/config.json: cannot be written (File too large); make room" in capsys.readouterr().err

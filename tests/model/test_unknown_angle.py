@@ -82,7 +82,7 @@ def test_an_evaluation_and_a_comparison_are_in_shares(
     assert "errors in % of full lock" in shown
     assert f"{4 * told['network']['rmse_deg']:.2f}" in shown
     assert "worst frames, in % of full lock" in shown
-    assert call(bc_eval, "--compare", "first", "first", "--split", "train") in (0, 1)
+    assert call(bc_eval, "compare", "first", "first", "--split", "train") in (0, 1)
     compared = capsys.readouterr().out
     assert "errors in % of full lock" in compared
     assert "their answers are 0.00 % of full lock apart" in compared

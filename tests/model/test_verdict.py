@@ -88,7 +88,7 @@ def test_the_two_lines_of_a_good_network() -> None:
         f"better than always predicting the mean: {turns}, {driving}; perhaps enough"
     )
     assert "32 of 32 networks" in verdict.summary
-    assert verdict.lines[1].startswith("next: `bc-eval first --simulator lake mountain`: a driving error of ")
+    assert verdict.lines[1].startswith("next: `bc-eval drive first --tracks lake mountain`: a driving error of ")
     assert [error.ratio for error in verdict.beside_mean] == pytest.approx(
         [
             measured(0.1).network.turning_mae_deg / measured(0.1).mean.turning_mae_deg,
@@ -217,7 +217,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
             "the steering of a never changes (2,000 rows)",
             "bc-log check sessions/a.mcap",
         ),
-        (numbers(epochs=WEAK[:4]), "stopped after 4 of 10 epochs", "bc-train --resume first"),
+        (numbers(epochs=WEAK[:4]), "stopped after 4 of 10 epochs", "bc-train resume first"),
         (
             numbers(
                 epochs=[scaled(weak, 0.4) for weak in WEAK]
@@ -228,7 +228,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(epochs=[scaled(weak, 0.4) for weak in WEAK], drives=(LAP,)),  # what it does counts more
             "no intervention on the roads it has driven",
-            "bc-eval first --simulator random:1 random:2",
+            "bc-eval drive first --tracks random:1 random:2",
         ),
         (
             numbers(  # RMSE alone is then worse than the mean's
@@ -246,12 +246,12 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
         (
             numbers(epochs=[*WEAK[:9], epoch(10, 0.3)]),
             "still fell in epoch 10",
-            "bc-train --resume first --epochs 20",
+            "bc-train resume first --epochs 20",
         ),
         (
             numbers(sound() | {"training": {"epochs": 2}}, [WEAK[0], replace(epoch(2, 0.4), is_best=False)]),
             "2 epochs of 39 steps: networks of fewer than 150 steps seldom drive",
-            "bc-train --resume first --epochs 10",
+            "bc-train resume first --epochs 10",
         ),
         (
             numbers(sound(counts={name: {"frames": 6000, "training": 600} for name in ("a", "b")})),
@@ -284,7 +284,7 @@ TURNS = replace(measured(0.35), bins=tuple(part for part in measured(0.35).bins 
                 epochs=[scaled(good, good.measures.driving_error - 0.02) for good in GOOD]
             ),
             "a driving error of 0.15 is small enough to try",
-            "bc-eval first --simulator lake mountain",
+            "bc-eval drive first --tracks lake mountain",
         ),
         (numbers(), "nothing in its numbers stands out", "bc-record more --track random:2"),
     ],
@@ -325,8 +325,8 @@ def test_epochs_are_advised_before_rows_also_of_few_turns() -> None:
         | {"training": {"epochs": 3}}
         for frames in (600, 200)
     )
-    assert advice(numbers(few, improving)).command == "bc-train --resume first --epochs 10"
-    assert advice(numbers(hardly_any, improving)).command == "bc-train --resume first --epochs 10"
+    assert advice(numbers(few, improving)).command == "bc-train resume first --epochs 10"
+    assert advice(numbers(hardly_any, improving)).command == "bc-train resume first --epochs 10"
 
 
 def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:

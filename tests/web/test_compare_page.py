@@ -1,4 +1,4 @@
-"""Two runs compared on the same frames from the page: `bc-eval --compare` as a job, its numbers with intervals."""
+"""Two runs compared on the same frames from the page: `bc-eval compare` as a job, its numbers with intervals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from web.jobs.jobs import Jobs
 
 
 def measured(**changed: object) -> dict[str, object]:
-    """What `bc-eval --compare --json` prints, as far as the page is concerned."""
+    """What `bc-eval compare --json` prints, as far as the page is concerned."""
     rmse = {"a": 2.0, "b": 3.0, "difference": 1.0, "low": 0.5, "high": 1.5, "allowed": 0.0, "verdict": "worse"}
     nothing = {
         "a": None,
@@ -45,7 +45,7 @@ def a_job(bench: Served, printed: str, code: int) -> Path:
     """A comparison of the runs a and b that has ended, as a bc-web of before has left it; its folder."""
     job = Jobs(bench.folder / "cache").folder / "20990101-000000-000000-0000"
     job.mkdir(parents=True, exist_ok=True)
-    words = ["bc-eval", "--compare", "a", "b", "--json", *(f"--{name}={bench.folder / name}" for name in NAMES)]
+    words = ["bc-eval", "compare", "a", "b", "--json", *(f"--{name}={bench.folder / name}" for name in NAMES)]
     (job / ABOUT).write_text(json.dumps({"words": words, "began": "2099-01-01T00:00:00+00:00", "made": ""}))
     (job / OUTPUT).write_text(printed)
     (job / EXIT).write_text(str(code))
@@ -133,7 +133,7 @@ def test_the_button_is_the_command(tmp_path: Path) -> None:
         shown = plain(bench.get(compared).text)
         assert "The predictions of A and B differ by 0.00 degrees" in shown
         assert "300 frames, in 6 blocks" in shown  # 30 s
-        assert f"bc-eval --compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
+        assert f"bc-eval compare a b --json --session s --runs={tmp_path / 'runs'}" in shown
         assert bench.get("/runs.compare?a=a&b=b&session=none").status == 404
         jobs = bench.get("/jobs").text.count("<li id=")
         bench.post("/runs.compare", **asked)  # it is known

@@ -108,7 +108,7 @@ def test_a_runs_page_has_its_verdict_and_what_would_help(bench: Served) -> None:
     text = page(bench, "good")
     assert "no better than always predicting the mean: on turns" in text
     assert "has driven 1 track with 2 interventions" in text
-    assert "bc-train --resume" in text
+    assert "bc-train resume" in text
 
 
 def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Served) -> None:
@@ -175,7 +175,13 @@ def test_train_again_repeats_the_settings_of_the_run(tmp_path: Path) -> None:
     (run / "config.json").write_text(json.dumps(config))
     command = train_again(tmp_path, "mine")
     assert command.startswith("bc-train")
-    for words in ("--light=as-seen", "--rate=0.0003", "--picture-px 64 48", "--on sunday monday", "--init=first"):
+    for words in (
+        "--light=as-seen",
+        "--rate=0.0003",
+        "--picture-px 64 48",
+        "--on sunday monday",
+        "bc-train continue first",
+    ):
         assert words in command
     for words in ("--crop-rows 0 20", "--answers=as-learnt", "--average-steps=1", "--alter-each-epoch move zoom"):
         assert words in command
@@ -218,8 +224,8 @@ def test_train_again_repeats_the_takeovers(tmp_path: Path, drives: list[str]) ->
     logs = [str(write_log(tmp_path / "drives" / f"{name}.mcap", [0.1] * 10)) for name in drives]
     a_run_of_takeovers(tmp_path, *drives)
     command = shlex.split(train_again(tmp_path, "second"))
-    assert command[: 3 + len(logs)] == ["bc-train", "--init=first", "--takeovers", *logs]
-    assert command[3 + len(logs) :][:2] == ["--epochs=3", "--recipe=people"]
+    assert command[: 4 + len(logs)] == ["bc-train", "continue", "first", "--takeovers", *logs]
+    assert command[4 + len(logs) :][:2] == ["--epochs=3", "--recipe=people"]
     assert "--on" not in command
 
 

@@ -192,7 +192,7 @@ def test_after_a_supervised_drive_each_takeover_is_a_link_to_its_row(bench: Serv
     untrained_run(bench.folder / "runs" / "r")
     assert "Learn from it" in bench.get("/wheel/after/drives/d").text
     words, run = training("drives", log, ProjectFolders(runs=bench.folder / "runs"))
-    assert (words[:5], run) == (["bc-train", "--init=r", "--takeovers", str(log), "--name=r-2"], "r-2")
+    assert (words[:6], run) == (["bc-train", "continue", "r", "--takeovers", str(log), "--name=r-2"], "r-2")
     assert words[-1] == "--recipe=people"
 
 

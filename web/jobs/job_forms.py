@@ -62,7 +62,7 @@ def _words_in(value: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Field:
-    """A value of a form. `flag` is None for `--name`, "" for words without a flag."""
+    """A value of a form. `flag` is None for `--name`, "" for words without a flag, or a verb before a word."""
 
     name: str
     label: str
@@ -85,7 +85,7 @@ class Field:
         flag = self.as_flag
         if self.is_switch:
             return [flag] if value else []
-        if flag and not self.is_several:
+        if flag.startswith("-") and not self.is_several:
             return [f"{flag}={value}"]
         parts = _words_in(value) if self.is_several else [value]
         return [*([flag] if flag else []), *map(as_argument, parts)]
@@ -106,7 +106,7 @@ class JobForm:
     def words(self, values: Mapping[str, str], folders: ProjectFolders) -> list[str]:
         """The command line. Raises WebError for an invalid value."""
         words = list(self.command)
-        for field in self.fields:
+        for field in sorted(self.fields, key=lambda field: field.as_flag[:1] in ("", "-")):  # a verb comes first
             value = values.get(field.name, "").strip()
             if not value:
                 if field.is_needed:
@@ -245,7 +245,7 @@ FORMS: Final[Sequence[JobForm]] = (
             Field("recipe", "recipe", hint=_TRAIN.recipe, choices=get_args(Recipe)),
             Field("device", "computes on", hint="a GPU if there is one", choices=("cpu", "cuda")),
             Field("on", "only these sessions", hint="the index", suggestions="sessions", is_several=True),
-            Field("init", "start from network", hint="random weights", suggestions="runs"),
+            Field("init", "start from network", "continue", hint="random weights", suggestions="runs"),
             Field("patience", "patience, epochs", hint="0: all epochs", is_more=True),
             Field("dropout", "dropout", hint=str(_TRAIN.dropout), is_more=True),
             Field("keep", "epoch to keep", hint="by recipe", choices=_KEEP, is_more=True),
@@ -268,9 +268,9 @@ FORMS: Final[Sequence[JobForm]] = (
         "learn",
         "Learn from takeovers",
         "A network learns from a test drive in which somebody took over, and from its earlier data.",
-        ("bc-train",),
+        ("bc-train", "continue"),
         (
-            Field("run", "network", "--init", suggestions="runs", is_needed=True),
+            Field("run", "network", "", suggestions="runs", is_needed=True),
             Field("takeovers", "log of the drive", hint="drives/NAME.mcap", is_several=True, is_needed=True),
             Field("name", "name of the new network", hint="date and time"),
             Field("epochs", "epochs", hint="as many as it needs"),
@@ -284,9 +284,9 @@ FORMS: Final[Sequence[JobForm]] = (
         "resume",
         "Continue training",
         "A stopped training continues.",
-        ("bc-train",),
+        ("bc-train", "resume"),
         (
-            Field("run", "network", "--resume", suggestions="runs", is_needed=True),
+            Field("run", "network", "", suggestions="runs", is_needed=True),
             Field("epochs", "epochs", hint="as many as before"),
         ),
         ("index", "sessions", "runs"),
@@ -308,12 +308,10 @@ FORMS: Final[Sequence[JobForm]] = (
         "drive",
         "Drive",
         "A network drives the built-in simulator. The drive's log is kept.",
-        ("bc-eval",),
+        ("bc-eval", "drive"),
         (
             Field("run", "network", "", suggestions="runs", hint="the newest"),
-            Field(
-                "track", "tracks", "--simulator", hint="lake mountain random:3", is_several=True, is_needed=True
-            ),
+            Field("track", "tracks", "--tracks", hint="lake mountain random:3", is_several=True, is_needed=True),
             Field("laps", "laps", hint="1"),
             Field("speed", "speeds in mph", hint="10", is_several=True),
             Field("force", "replace logs of the same names", is_switch=True),

@@ -16,7 +16,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -40,6 +41,7 @@ _KEPT: Final = 50  # jobs that have ended
 _MAX_BYTES: Final = 64 << 10  # of the output, which a page shows: the last ones
 _RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.jobs.job_runner import main; main()"
 _STOPPED: Final = 130
+_POLL_S: Final = 0.3
 _STATES: Final = {
     0: "done",
     1: "failed",
@@ -78,6 +80,8 @@ class Job:
     def title(self) -> str:
         """Its form, and its run or its first words."""
         about = self.about
+        if self.is_export:
+            return printable(f"Export {Path(about.words[-1]).name}")
         form = next((form.title for form in FORMS if form.name == about.form), "")
         words = [word for word in about.words[1:] if not word.startswith("-")]
         return printable(f"{form or about.words[0]} {self.run if form else ' '.join(words[:2])}".strip())
@@ -100,6 +104,10 @@ class Job:
     def is_training(self) -> bool:
         """Whether it trains a run, which has a page as soon as it has begun."""
         return self.about.words[0] == "bc-train" and self.about.made.startswith("/runs/")
+
+    @property
+    def is_export(self) -> bool:
+        return self.about.made.startswith("/exports/")
 
     @property
     def is_stopped(self) -> bool:
@@ -214,6 +222,18 @@ class Jobs:
         if not is_ready:
             raise WebError(f"{shlex.join(words)}: it did not start; the cache folder may be full", 500)
         return self.get(key)
+
+    def start_in_turn(self, starts: Sequence[Callable[[], Job]]) -> None:
+        """Start jobs one after the other, each when the one before has ended, as long as bc-web runs."""
+
+        def run() -> None:
+            for start in starts:
+                with contextlib.suppress(WebError):  # its name was taken meanwhile
+                    key = start().key
+                    while self.get(key).is_running:
+                        time.sleep(_POLL_S)
+
+        threading.Thread(target=run, name="jobs in turn", daemon=True).start()
 
     def stop(self, key: str) -> None:
         """Press Ctrl-C in a job, if it runs. The second time, it ends at once."""

@@ -16,8 +16,7 @@ from common.errors import printable
 from common.files import session_name
 from web.errors import WebError
 from web.jobs.jobs import Job
-from web.logs.drive_map import drive_map
-from web.logs.drive_view import DriveView
+from web.logs.drive_view import DriveView, drive_map
 from web.logs.session_cards import SessionCard
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench

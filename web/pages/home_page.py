@@ -16,8 +16,7 @@ from dataset.samples.samples_format import SAMPLES_NAME
 from web.folders.project_folders import PLACES, Place
 from web.logs.session_cards import IndexState, SessionCard
 from web.pages.workbench import Workbench
-from web.runs.plain_verdict import badge_of
-from web.runs.run_cards import RunCard
+from web.runs.run_cards import RunCard, badge_of
 from web.server.templates import page
 
 _PATIENCE_S: Final = 0.5

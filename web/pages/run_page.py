@@ -30,8 +30,7 @@ from web.jobs.job_forms import in_one_field
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
-from web.runs.plain_verdict import badge_of
-from web.runs.run_cards import RunCard
+from web.runs.run_cards import RunCard, badge_of
 from web.runs.run_charts import bin_bars
 from web.runs.run_configs import index_checksum, origin_of, settings_of
 from web.server.templates import page

@@ -24,7 +24,7 @@ from common.errors import printable
 from common.files import session_name
 from model.runs.run_files import is_being_trained
 from recorder.log.tags import EXCLUDE, Tag
-from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.wheel import open_wheels
 from recorder.topics import PERSON_METADATA
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
@@ -44,8 +44,7 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
-from web.logs.drive_map import drive_map
-from web.logs.drive_view import BEFORE_S, DriveView, rows_before_put_back
+from web.logs.drive_view import BEFORE_S, DriveView, drive_map, rows_before_put_back
 from web.pages.request_values import Values, on_form
 from web.pages.tagging import TagChange, change_tags
 from web.pages.workbench import Workbench

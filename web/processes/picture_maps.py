@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 
 from common import UserError
 from common.errors import printable
-from dataset.loader.log_crops import LogCrops
+from dataset.loader.crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
 from recorder.log.road_places import states_of
 from recorder.rows.causes import CAUSES
 from recorder.rows.odd_stretches import odd_stretches
 from web.errors import WebError
-from web.processes.kept_work import KeptWork, run_fingerprint, write_result
+from web.processes.kept_work import KeptWork, counter, report, run_fingerprint, run_in_process, write_result
 from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
-from web.processes.own_process import counter, report, run_in_process
 
 COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
 """Float32 columns of the pictures. `x`, `y`: its place. `log`: the number of its log. `predicted`: NaN without

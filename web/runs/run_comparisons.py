@@ -1,4 +1,4 @@
-"""Two runs compared on the same frames: the job (`bc-eval --compare`) and its numbers."""
+"""Two runs compared on the same frames: the job (`bc-eval compare`) and its numbers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOST_S: Final = 24 * 3600.0  # nobody drives longer for a comparison
 def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
     """The command line, for the held-out frames or for a session. Raises WebError for a name that looks like a
     flag."""
-    words = ["bc-eval", "--compare", as_argument(a.name), as_argument(b.name), "--json"]
+    words = ["bc-eval", "compare", as_argument(a.name), as_argument(b.name), "--json"]
     words += ["--session", as_argument(session)] if session else []
     return words + folders.flags("runs", "sessions")
 
