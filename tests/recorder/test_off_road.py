@@ -126,9 +126,7 @@ def kinds_in(log: Path) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("hold_s", [0.6, 1.2])
-def test_a_beginner_who_holds_left_and_right_in_turn_weaves_and_leaves_the_road(
-    tmp_path: Path, hold_s: float
-) -> None:
+def test_a_beginner_who_holds_left_and_right_in_turn_weaves(tmp_path: Path, hold_s: float) -> None:
     side, until_s, wheels = 1.0, 0.0, 0.0
 
     def hold(course: Course, wanted: float) -> float:
