@@ -19,8 +19,7 @@ from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
 from dataset.steering_bins import BINS, bin_of
-from model.evaluation.block_bootstrap import Floats
-from model.evaluation.differences import CONFIDENCE, MEASURES, Difference, Measure, compare_sums, overall
+from model.evaluation.differences import CONFIDENCE, MEASURES, Difference, Floats, Measure, compare_sums, overall
 from model.evaluation.evaluate import Evaluation, target_columns
 from model.metrics import is_turning
 from model.runs.run_folder import run_name

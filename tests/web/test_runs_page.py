@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, urlencode
 import pytest
 
 from model.config import TrainConfig
-from model.runs.kept_results import keep_result
+from model.runs.run_files import keep_result
 from recorder import Log
 from tests.helpers.driving import road_jpeg
 from tests.helpers.histories import epoch_line, write_lines
