@@ -7,7 +7,8 @@ comparisons of equally good networks calls B worse.
 The intervals are of a paired block bootstrap. Neighbouring frames show the same stretch of road, so their errors
 are alike. As independent frames, they would give far too narrow intervals. So whole blocks are drawn, with
 replacement (Carlstein 1986, "The use of subseries values"; Künsch 1989, "The jackknife and the bootstrap for
-general stationary observations"). Both networks are measured on the same draw, so the difficulty of a block cancels out.
+general stationary observations"). Both networks are measured on the same draw, so the difficulty of a block cancels
+out.
 
 A measure such as the RMSE is a function of sums over frames. Each block is a row of sums, and a draw adds up rows.
 """
