@@ -18,7 +18,7 @@ def viewer() -> None:
 
 def wheel_page() -> None:
     """The wheel page of another command, which starts it (`common.wheel_page`)."""
-    import_module("web.wheel_command").main()
+    import_module("web.cli").wheel_main()
 
 
 def _command(prog: str, module: str) -> Callable[[], None]:

@@ -19,9 +19,7 @@ from typing import Any, Final, TypeVar
 import tyro
 
 from common.errors import Skipped, UsageError, UserError
-from common.flag_errors import flag_errors_in_one_line, refuse_empty_flags
-from common.flag_help import asks_for_help, print_help
-from common.flag_types import quick_types
+from common.flags import asks_for_help, flag_errors_in_one_line, print_help, quick_types, refuse_empty_flags
 from common.interrupts import interrupting_signals
 from common.location_flag import path_flags
 from common.output import MessageHandler, print_message, print_result

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from common.command import run_command
 from common.errors import UsageError
-from common.flag_help import asks_for_help
+from common.flags import asks_for_help
 from common.output import print_message
 
 

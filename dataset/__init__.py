@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from dataset.index.sessions import sessions_not_indexed as sessions_not_indexed
     from dataset.loader.loader import Batch as Batch
     from dataset.loader.loader import Loader as Loader
+    from dataset.loader.loader import SamplesDataset as SamplesDataset
     from dataset.loader.loader import load as load
-    from dataset.loader.torch_dataset import SamplesDataset as SamplesDataset
     from dataset.preprocessing import decode as decode
     from dataset.preprocessing import preprocess as preprocess
     from dataset.samples.samples_reader import Samples as Samples
@@ -41,7 +41,7 @@ _HOMES = {
     "Indexed": "dataset.index.build",
     "Loader": "dataset.loader.loader",
     "Samples": "dataset.samples.samples_reader",
-    "SamplesDataset": "dataset.loader.torch_dataset",
+    "SamplesDataset": "dataset.loader.loader",
     "build_index": "dataset.index.build",
     "decode": "dataset.preprocessing",
     "find_logs": "dataset.index.sessions",

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.picture_spec import MAX_PX, ORIGINAL, PictureSpec
-from recorder.pictures.decoding import decode_picture
-from recorder.pictures.picture_size import decoding_problem, pixels
+from recorder.pictures.picture_size import decode_picture, decoding_problem, pixels
 
 Image = NDArray[np.uint8]
 

@@ -16,8 +16,8 @@ from typing import Final, TypeVar
 from common.errors import UserError, as_user_error, counted, printable
 from common.locks import is_being_written
 from model.runs.advice import Advice
-from recorder.log.logs_in_folder import logs_in
 from recorder.log.tags import FINE, tags_path
+from recorder.log_flag import logs_in
 from recorder.rows.odd_stretches import title_of
 from recorder.upkeep.log_info import LogInfo, describe
 

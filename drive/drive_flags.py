@@ -12,7 +12,7 @@ import tyro
 
 from common.command import check_port, flags_given
 from common.errors import UsageError
-from recorder.sources.gymnasium_flags import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
+from recorder.sources.settings import GYM_FLAGS, REMOVED_GYM_FLAGS, GymFlags
 
 _PAGE_FLAGS: Final = ("open", "page", "sessions")
 

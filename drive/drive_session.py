@@ -17,9 +17,9 @@ from drive.log.summary_lines import LiveStatus
 from model import Pilot
 from recorder import LogWriter
 from recorder.log.tags import Tag
-from recorder.server.braking import WALKING_MPH
 from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
+from recorder.teleop.pedals import WALKING_MPH
 from recorder.topics import DRIVE_METADATA
 from recorder.upkeep.derived_log import close_with_tags
 
@@ -179,12 +179,12 @@ class DriveSession:
     def note_silence(self) -> None:
         """Let the page of the person at the wheel show that the simulator is silent, or has gone."""
         if self._at_wheel is not None:
-            self._at_wheel.note_silence(self.silent_s, is_connected=self.is_connected)
+            self._at_wheel.wheel.note_silence(self.silent_s, is_connected=self.is_connected)
 
     @property
     def is_end_asked(self) -> bool:
         """True after the person at the wheel has requested the end of the drive."""
-        return self._at_wheel is not None and self._at_wheel.is_end_asked
+        return self._at_wheel is not None and self._at_wheel.is_ended
 
     @property
     def silent_s(self) -> float:
@@ -238,7 +238,7 @@ class DriveSession:
             for record, values in self._metadata.items():
                 self.writer.add_metadata(record, values)
         if self._at_wheel is not None:
-            self._tags += self._at_wheel.last_rows.tags
+            self._tags += self._at_wheel.recording.tags
         if kind is None and self._tags:
             close_with_tags(self.writer, self._tags)
         self.writer.__exit__(kind)
@@ -297,4 +297,4 @@ class DriveSession:
         for text in events:
             self._notify(text)
             if self._at_wheel is not None:
-                self._at_wheel.event(text, is_problem=is_problem)
+                self._at_wheel.wheel.event(text, is_problem=is_problem)

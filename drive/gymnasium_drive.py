@@ -14,8 +14,7 @@ from drive.config import DriveError
 from drive.drive_session import DriveSession
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
-from recorder.sources.action_map import CarCommand
-from recorder.sources.gymnasium_car import GymnasiumCar
+from recorder.sources.gymnasium_car import CarCommand, GymnasiumCar
 
 EPISODES_METADATA: Final = "bc.gymnasium"
 

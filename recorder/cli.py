@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, ClassVar, Final, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, TypeAlias
 
 import tyro
 
+from common.command import check_port, flags_given, usage_errors
+from common.errors import UsageError
+from common.output import print_message
+from common.preview import preview
 from common.verbs import Earlier, Verb, run_verbs
-from recorder.sources.settings import PersonDrive, SimulatedDrive
+from common.wheel_page import wait_until_left, wheel_page
+from recorder.errors import RecordingError
+from recorder.new_session import make_session
+from recorder.sources.settings import ListenSettings, PersonDrive, SimulatedDrive
+
+if TYPE_CHECKING:
+    from recorder.log.session_car import Car
+    from recorder.sources.imported_rows import Imported
+    from recorder.teleop.wheel import Wheel
 
 Name: TypeAlias = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")]
 CarFlag: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")]
@@ -136,27 +152,123 @@ EARLIER: Final = (
 
 
 def _record(config: Record) -> int:
-    from recorder.record_command import record  # NumPy, Arrow, Protobuf, OpenCV
+    """Record a driver of the built-in simulator. Returns the exit code, as the other verbs do."""
+    from recorder.sources.built_in_simulator import check_drive, record_simulated  # NumPy, Protobuf, OpenCV
 
-    return record(config)
+    with usage_errors(RecordingError):
+        check_drive(config.drive)
+
+    def write(log: Path) -> Imported:
+        if config.drive == SimulatedDrive():  # nobody has asked for it: perhaps bc-import was meant
+            print_message(
+                f"bc-record: the built-in simulator's expert drives {config.drive.track};"
+                " `bc-import FOLDER` imports a recording"
+            )
+        return record_simulated(config.drive, log, udacity=config.udacity, overwrite=config.log.force)
+
+    return _make_session(config.name, config.log, write)
 
 
 def _record_me(config: RecordMe) -> int:
-    from recorder.record_command import record_me
+    from recorder.sources.record_person import record_person
 
-    return record_me(config)
+    _check_person(config.drive)
+
+    def write(log: Path) -> Imported:
+        with contextlib.ExitStack() as stack:
+            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
+            done = record_person(config.drive, log, overwrite=config.log.force, on_wheel=on_wheel)
+            if config.page:
+                wait_until_left(done.path)
+            return done
+
+    return _make_session(config.name, config.log, write)
 
 
 def _record_listening(config: RecordListening) -> int:
-    from recorder.record_command import record_listening
+    """Record simulators that connect; with --me, a person drives one."""
+    if config.idle is not None and not 0 <= config.idle < math.inf:
+        raise UsageError(f"--idle {config.idle:g}: expected a number of seconds, 0 or more")
+    if config.port:  # 0: a free one
+        check_port("--port", config.port)
+    if not config.me and (flags := flags_given(config, "open", "speed", "page")):
+        raise UsageError(f"{flags}: only with --me")
+    _check_speed(config.speed)
+    car = _car(config.car)
 
-    return record_listening(config)
+    def write(log: Path) -> Imported:
+        with contextlib.ExitStack() as stack:
+
+            def show(growing: Path) -> None:
+                if config.viewer:
+                    stack.enter_context(preview(growing, idle_priority=True))
+
+            settings = ListenSettings(config.host, config.port, config.idle, car, show)
+            from recorder.sources.live_telemetry import listen_at_the_wheel, listen_for_telemetry  # Socket.IO
+
+            if not config.me:
+                return listen_for_telemetry(log, settings, overwrite=config.log.force)
+
+            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
+            done = listen_at_the_wheel(settings, log, config.speed, overwrite=config.log.force, on_wheel=on_wheel)
+            if config.page:
+                wait_until_left(done.path)
+            return done
+
+    return _make_session(config.name, config.log, write)
 
 
 def _record_gym(config: RecordGym) -> int:
-    from recorder.record_command import record_gym
+    from recorder.sources.record_gymnasium import GymRecording, check_recording, record_gymnasium
+    from recorder.sources.settings import GymFlags
 
-    return record_gym(config)
+    environment = GymFlags(config.environment, config.expert, config.episodes)
+    recording = GymRecording(environment, config.seed, config.rate, config.wander, _car(config.car))
+    check_recording(recording)
+    return _make_session(
+        config.name, config.log, lambda log: record_gymnasium(recording, log, overwrite=config.log.force)
+    )
+
+
+def _make_session(name: str | None, flags: LogFlags, write: Callable[[Path], Imported]) -> int:
+    name = f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}" if name is None else name
+    return make_session(flags.sessions, name, write)
+
+
+def _car(name: str | None) -> Car | None:
+    from recorder.log.session_car import named_car
+
+    return None if name is None else named_car(name)
+
+
+def _page_opener(stack: contextlib.ExitStack, log: Path, *, serves: bool, opens: bool) -> Callable[[Wheel], None]:
+    """What is called with the wheel as soon as a page can connect: it serves the page until `stack` is closed."""
+
+    def serve_page(wheel: Wheel) -> None:
+        if serves:
+            stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
+
+    return serve_page
+
+
+def _check_person(drive: PersonDrive) -> None:
+    """Raise UsageError for values that do not fit a person's drive."""
+    from recorder.sources.settings import check_row_rate
+
+    _check_speed(drive.speed)
+    with usage_errors(RecordingError):
+        check_row_rate(drive.rate)
+    if not 0 <= drive.start < math.inf:
+        raise UsageError(f"--start {drive.start:g}: expected a number of metres, 0 or more")
+    if drive.laps is not None and not 0 < drive.laps < math.inf:
+        raise UsageError(f"--laps {drive.laps:g}: expected a number above 0")
+
+
+def _check_speed(speed_mph: float) -> None:
+    from simulator.driving.drive_limits import MAX_SPEED_MPH
+
+    if not 0 < speed_mph <= MAX_SPEED_MPH:
+        raise UsageError(f"--speed {speed_mph:g}: expected mph above 0 and up to {MAX_SPEED_MPH}")
 
 
 def main() -> None:

@@ -1,10 +1,11 @@
-"""Arguments that name a log: its path, its URL, or the name of a session or drive in this folder."""
+"""Finds logs: by path, URL, or the name of a session or drive; those of a folder; the flags that name them."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, TypeAlias, overload
 
 from common.errors import UserError
 from common.location import Location, Url, local_path, location
@@ -36,3 +37,26 @@ LogOrUrlFlag: TypeAlias = Annotated[Location, location_spec("LOG", lambda text: 
 LogOrFolderFlag: TypeAlias = Annotated[
     Location, location_spec("LOG", lambda text: named_log(location(text), takes_folders=True))
 ]
+
+
+@overload
+def logs_in(folder: Path) -> list[Path]: ...
+
+
+@overload
+def logs_in(folder: Url) -> list[Url]: ...
+
+
+def logs_in(folder: Location) -> list[Path] | list[Url]:
+    """The logs of a folder by name, finished and unfinished. Raises StoreError."""
+    if isinstance(folder, Url):
+        from common.object_store import list_objects  # an extra
+
+        return [entry.url for entry in list_objects(folder) if entry.url.suffix == ".mcap"]
+    return sorted((*folder.glob("*.mcap"), *folder.glob("*.mcap.*.part")))
+
+
+def logs_at(place: Location) -> Sequence[Location]:
+    """The logs of a folder, or the log at `place`. Raises StoreError."""
+    is_folder = place.suffix != ".mcap" if isinstance(place, Url) else place.is_dir()
+    return logs_in(place) if is_folder else [place]

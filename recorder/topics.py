@@ -1,4 +1,4 @@
-"""The registry of a log's topics, their messages, and how they are drawn.
+"""The registry of a log's topics, their messages, and how they are drawn; the devices that a person steers with.
 
 A new topic is an entry in `TOPICS`, which writing, checking, editing and playing logs use. A new camera is a name
 in `common.car.Camera`.
@@ -15,6 +15,10 @@ from common.car import CAMERAS, Camera
 
 if TYPE_CHECKING:  # training reads logs where protobuf is not installed
     from google.protobuf.message import Message
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 PROFILE: Final = "bc"
 LIBRARY: Final = "behavioural-cloning-toolkit"  # of an MCAP file's header, before the version
@@ -166,3 +170,25 @@ PLOTS: Final = tuple(dict.fromkeys(line.plot for topic in TOPICS.values() for li
 CAMERA_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.camera is not None)
 PICTURE_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.is_picture)
 ROW_TOPICS: Final = frozenset(name for name, topic in TOPICS.items() if topic.has_row)
+
+
+Device = Literal["keyboard", "mouse", "gamepad", "touch"]
+RowDevice = Device | Literal[""]
+DEVICES: Final[tuple[RowDevice, ...]] = ("", *get_args(Device))
+"""In the order of VehicleState.Device; empty if nobody steered by hand, or the device is unknown."""
+
+
+def device_value(device: Device | None) -> str | None:
+    """The device as the value of `VehicleState.device`."""
+    return device.upper() if device else None
+
+
+def most_used(rows: Mapping[int, int]) -> RowDevice:
+    """The device of most rows, from the number of rows by device number; empty if no device is known."""
+    by_hand = {number: count for number, count in rows.items() if 0 < number < len(DEVICES) and count}
+    return DEVICES[max(by_hand, key=lambda number: by_hand[number])] if by_hand else ""
+
+
+def most_used_of(numbers: NDArray[np.int8]) -> RowDevice:
+    """The device of most rows, from the device number of each row (N,); empty if no device is known."""
+    return most_used(dict(enumerate(np.bincount(numbers, minlength=len(DEVICES)).tolist())))

@@ -41,8 +41,8 @@ from websockets.sync.client import ClientConnection, connect
 from common.car import CAMERAS
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
-from recorder.teleop.open_wheels import OpenWheel
-from simulator.driving.keyboard import KeyboardDriver
+from recorder.teleop.wheel import OpenWheel
+from simulator.driving.person import KeyboardDriver
 from simulator.driving.simulation import Simulation
 
 TRACK: Final = "lake"

@@ -16,9 +16,8 @@ from drive.control.driver import Driver
 from model import Pilot, load_pilot
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
-from recorder.sources.action_map import CarCommand
-from recorder.sources.gymnasium_car import GymnasiumCar
-from recorder.sources.gymnasium_flags import GymFlags
+from recorder.sources.gymnasium_car import CarCommand, GymnasiumCar
+from recorder.sources.settings import GymFlags
 
 FIRST_SEED, TRACKS = 1000, 10
 EXPERT = Path(__file__).parents[1] / "examples" / "car_racing_expert.py"

@@ -20,7 +20,7 @@ import psutil  # type: ignore[import-untyped]  # comes with rerun-sdk
 from playwright.sync_api import Browser, Page, sync_playwright
 from toolkit_command import command_line, environment
 
-from recorder.teleop.open_wheels import OpenWheel, open_wheels
+from recorder.teleop.wheel import OpenWheel, open_wheels
 from simulator.roads.centreline import Centreline, Floats
 
 PATIENCE_S: Final = 120.0

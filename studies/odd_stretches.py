@@ -5,13 +5,15 @@ python studies/odd_stretches.py --logs sessions/*.mcap
 
 Drives the built-in simulator, without pictures, on four tracks at 10 and at 30 mph: with the expert and the
 keyboard driver, and with a fault after every half minute. The speed has no sign, as in recordings of Udacity's
-simulator. A fault is found if a stretch of its kind covers half of its rows. Rows of stretches are false if they
-are more than four seconds from a fault. With --logs, it prints the odd stretches of recordings.
+simulator. A fault is found if a stretch of its kind, or of leaving the road, covers half of its rows. Rows of
+stretches are false if they are more than four seconds from a fault. With --logs, it prints the odd stretches of
+recordings.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -54,7 +56,7 @@ class Drive:
         course = self.course
         speed_mph = abs(course.vehicle.speed_mph)
         state = (course.time_s, steering, max(0.0, throttle), max(0.0, -throttle), speed_mph)
-        self.rows.append((*state, abs(course.offset_m) - course.half_width_m))
+        self.rows.append((*state, abs(course.offset_m) - course.half_width_m, course.vehicle.heading_rad))
         for _ in range(STEPS_EACH):
             course.advance(steering, throttle)
 
@@ -69,6 +71,10 @@ class Drive:
 
     def stand(self) -> None:
         self.course.vehicle = replace(self.course.vehicle, speed_mps=0.0, yaw_rate_radps=0.0)
+
+    def put_back(self) -> None:
+        """On the road's line, without a row."""
+        self.course.displace(0.0, 0.0, 2.0)
 
     def until_it_stands(self, throttle: float) -> None:
         for _ in range(60 * RATE_HZ):
@@ -114,7 +120,7 @@ def creeping(drive: Drive) -> None:
 
 
 def stuck_steering(drive: Drive) -> None:
-    drive.holds(4.0, 0.3, 0.07)
+    drive.holds(4.0, 0.3, 0.01)
 
 
 def off_road(drive: Drive) -> None:
@@ -126,9 +132,39 @@ def off_road(drive: Drive) -> None:
         drive.drives(1 / RATE_HZ)
 
 
+def leaving_the_road(drive: Drive) -> None:
+    """Steer to the side until the car leaves the road; then it is put back."""
+    while not drive.course.off_road:
+        drive.holds(1 / RATE_HZ, 0.3, 0.5)
+    drive.put_back()
+
+
+def weaving(drive: Drive) -> None:
+    """Full lock to either side for half a second each, as the road allows."""
+    while drive.course.vehicle.speed_mph > 8.0:
+        drive.holds(1 / RATE_HZ, -0.5)
+    side = 1.0
+    for _ in range(30):
+        wanted = drive.driver.control(drive.course)[0]
+        side = -side if abs(wanted) < 0.8 else math.copysign(1.0, wanted)
+        drive.holds(0.5, 0.2, side)
+        if drive.course.off_road:
+            drive.put_back()
+
+
+def wheel_off_the_road(drive: Drive) -> None:
+    """Follow the road with the outer wheels 0.4 m off it, for ten seconds."""
+    course = drive.course
+    course.displace(course.half_width_m - 0.4, 0.0, 0.0)
+    for _ in range(10 * RATE_HZ):
+        steering, throttle = drive.driver.control(course)
+        drive.row(steering, throttle)
+        course.displace(course.half_width_m - 0.4, 0.0, 0.0)
+
+
 FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
     fault.__name__: fault for fault in (backwards, crash, parked, coasting, creeping, stuck_steering, off_road)
-}
+} | {fault.__name__: fault for fault in (leaving_the_road, weaving, wheel_off_the_road)}
 
 
 def states_of(rows: Sequence[tuple[float, ...]]) -> States:
@@ -148,14 +184,15 @@ def drive_with(
         first = len(drive.rows)
         fault(drive)
         places.append((first, len(drive.rows) - 1))
-        course.displace(0.0, 0.0, 2.0)  # put the car back on the road, without a row
+        drive.put_back()
     drive.drives(DRIVEN_S)
     return states_of(drive.rows), places
 
 
 def measure(stretches: list[OddStretch], kind: str, places: list[tuple[int, int]]) -> tuple[int, int]:
     """The number of faults that were found, and the number of false rows."""
-    rows_of_kind = rows_of([stretch for stretch in stretches if stretch.kind == kind])
+    kinds = (kind, "leaving_the_road")  # a fault may end there
+    rows_of_kind = rows_of([stretch for stretch in stretches if stretch.kind in kinds])
     near = round(NEAR_S * RATE_HZ)
     allowed = {row for first, last in places for row in range(first - near, last + near + 1)}
     detected = sum(2 * len(rows_of_kind & {*range(a, b + 1)}) >= b + 1 - a for a, b in places)

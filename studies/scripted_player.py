@@ -21,9 +21,7 @@ from drive_page import DrivePage, RoadMap, Seen
 from common.car import MPS_PER_MPH
 from simulator.driving.course import Course
 from simulator.driving.expert import Expert
-from simulator.driving.keyboard import KeyboardDriver
-from simulator.driving.mouse import FULL_LOCK_PX, MouseDriver
-from simulator.driving.person import REACTION_S, Person
+from simulator.driving.person import FULL_LOCK_PX, REACTION_S, KeyboardDriver, MouseDriver, Person
 from simulator.driving.vehicle import CarState
 from simulator.roads.centreline import Centreline
 

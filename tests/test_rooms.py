@@ -243,7 +243,7 @@ def test_nothing_is_ever_unpickled() -> None:
 @pytest.mark.parametrize(
     ("call", "only_in"),
     [
-        ("imdecode(", {"recorder/pictures/decoding.py"}),  # its limits hold for every picture
+        ("imdecode(", {"recorder/pictures/picture_size.py"}),  # its limits hold for every picture
         (".resolve()", set()),  # raises for a link that leads to itself: common.untrusted.real_path
     ],
 )

@@ -19,8 +19,7 @@ from common.preview import has_display
 from viz.console import print_error, print_notice, print_skipped
 from viz.live.follow import VIEWER_MEMORY, LogFeed, save_growing
 from viz.playback.rerun_recording import PreparedRecording, save_prepared
-from viz.viewer_connection import check_viewer, set_time, viewer_url
-from viz.viewer_feed import ViewerFeed, ViewerGoneError, feed_viewer
+from viz.viewer_connection import ViewerFeed, ViewerGoneError, check_viewer, feed_viewer, set_time, viewer_url
 from viz.viewer_process import Ports, Viewer, free_port, open_viewer
 
 _LARGE: Final = 2_000_000_000  # bytes

@@ -13,6 +13,7 @@ from starlette.routing import BaseRoute, Mount
 from starlette.types import ASGIApp
 
 from web.folders.project_folders import PLACES, ProjectFolders
+from web.pages.common_pages import common_routes
 from web.pages.compare_page import compare_routes
 from web.pages.drives_page import drive_routes
 from web.pages.home_page import home_routes
@@ -28,10 +29,9 @@ from web.pages.session_page import session_routes
 from web.pages.sessions_page import session_list_routes
 from web.pages.wheel_pages import wheel_routes
 from web.pages.workbench import Workbench, change_routes
-from web.server.error_pages import HANDLERS
-from web.server.memory import TrimmedApp
-from web.server.request_guard import RequestGuard
+from web.server.request_guard import HANDLERS, RequestGuard
 from web.server.static_files import STATIC, PageFiles
+from web.server.workbench_server import TrimmedApp
 
 _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
@@ -63,6 +63,7 @@ def routes_of(bench: Workbench) -> list[BaseRoute]:
         *index_routes(bench),
         *map_routes(bench),
         *job_routes(bench),
+        *common_routes(bench),
         *import_routes(bench),
         *wheel_routes(bench),
         *compare_routes(bench),

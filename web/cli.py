@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from common import UserError
-from common.command import DONE, check_port, run_command
+from common.command import DONE, INTERRUPTED, check_port, run_command
 from common.errors import UsageError, counted, printable
 from common.interrupts import stop_signals
 from common.location import shown_address
 from common.output import print_message, print_result
-from recorder.server.allowed_hosts import is_loopback
+from common.process_settings import end_with_parent
+from recorder.server.connection_guard import is_loopback
 
 
 @dataclass(frozen=True)
@@ -50,9 +56,8 @@ def serve(config: Web, page: str = "") -> int:
     from web.folders.cache_folder import default_cache_folder
     from web.folders.project_folders import ProjectFolders
     from web.jobs.jobs import Jobs
-    from web.server.memory import give_memory_back
     from web.server.request_guard import TOKEN, new_token
-    from web.server.workbench_server import WorkbenchServer
+    from web.server.workbench_server import WorkbenchServer, give_memory_back
 
     give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
@@ -89,3 +94,49 @@ def _check_folders(config: Web) -> None:
 
 def main() -> None:
     run_command("bc-web", Web, serve)
+
+
+@dataclass(frozen=True)
+class WheelPage:
+    """Serve the page of a wheel."""
+
+    key: Annotated[str, tyro.conf.Positional]
+    """The wheel's key."""
+    open: bool = False
+    """Open the page in a browser."""
+    sessions: Path = Web.sessions
+    """Where sessions are kept."""
+    runs: Path = Web.runs
+    """Where runs are kept."""
+    drives: Path = Web.drives
+    """Where drives are kept."""
+
+
+def _show(config: WheelPage) -> int:
+    try:
+        web = Web(
+            port=_free_port(Web.port),
+            open=config.open,
+            sessions=config.sessions,
+            runs=config.runs,
+            drives=config.drives,
+        )
+        return serve(web, page=f"wheel/{config.key}")
+    except KeyboardInterrupt:  # ended by the command that drives
+        return INTERRUPTED
+    except UserError as error:
+        raise UserError(f"{error}; start `bc-web` in this folder, and open its page Drive") from None
+
+
+def _free_port(preferred: int) -> int:
+    """The preferred port, or another one if that is taken."""
+    for port in (preferred, 0):
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)) as probe:
+            return int(probe.getsockname()[1])
+    return preferred
+
+
+def wheel_main() -> None:
+    """The page of one wheel. `common.wheel_page` starts it, and it ends with the process that started it."""
+    end_with_parent()
+    run_command("bc-web", WheelPage, _show)

@@ -1,4 +1,5 @@
-"""Number or group equal rows: samples of one picture, frames of one moment or session."""
+"""Number or group equal rows: samples of one picture, frames of one moment or session; pair the messages of a log
+with its vehicle states."""
 
 from __future__ import annotations
 
@@ -8,6 +9,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+
+from dataset.frames.drivers import Commands
+from recorder import Pictures
+from recorder.rows.row_quality import States
 
 
 def number_distinct(*columns: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -45,3 +50,23 @@ def by_session(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
     ends = np.cumsum(np.bincount(number, minlength=len(names)))
     parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
     return ((names[at], rows.take(pa.array(parts[at]))) for at in sorted(range(len(names)), key=names.__getitem__))
+
+
+def paired_rows(messages: Pictures | Commands, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pair messages with vehicle states by row number and log time. Returns the positions (N,) of the states, and
+    of the messages."""
+    count = len(states.row)
+    number, first = number_distinct(
+        np.concatenate([states.time_ns, messages.log_time_ns]), np.concatenate([states.row, messages.sequence])
+    )
+    state = first[number[count:]]  # the first of the equal rows, which is a state if a state is among them
+    paired = np.flatnonzero(state < count)
+    return state[paired], paired
+
+
+def moments(frames: pa.Table) -> NDArray[np.void]:
+    """The row and log time of each frame (N,): together they identify a moment in a log."""
+    identities = np.empty(len(frames), [("row", np.int64), ("log_time_ns", np.int64)])
+    for name in ("row", "log_time_ns"):
+        identities[name] = frames[name].to_numpy()
+    return identities

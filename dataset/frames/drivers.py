@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dataset.config import Drives
 from recorder import Log
-from recorder.mcap.number_fields import known_values
+from recorder.mcap.message_index import known_values
 from recorder.topics import PILOT_COMMAND
 
 Driver = Literal["", "pilot", "human", "expert"]

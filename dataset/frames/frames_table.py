@@ -15,19 +15,18 @@ from numpy.typing import NDArray
 from common.car import CAMERAS, Camera
 from common.files import session_name
 from dataset.config import IndexConfig
+from dataset.frames.distinct_rows import moments, paired_rows
 from dataset.frames.drivers import DRIVERS, TAKEOVERS, is_taken, read_commands
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
 from dataset.frames.frames_file import FRAMES_SCHEMA, SPLITS
 from dataset.frames.image_check_cache import read_image_check
-from dataset.frames.pairing import moments, paired_rows
 from dataset.frames.split import block_numbers, near_validation, validation_blocks
 from dataset.steering_bins import bin_of
 from recorder import Log, Pictures
 from recorder.log.tags import Tag
 from recorder.rows.causes import NOT_LEARNT
-from recorder.rows.devices import DEVICES
 from recorder.rows.row_quality import States, drive_numbers
-from recorder.topics import VEHICLE_COLUMNS, camera_topic
+from recorder.topics import DEVICES, VEHICLE_COLUMNS, camera_topic
 
 
 def frames_table(log: Log, index: Path, config: IndexConfig, tags: Sequence[Tag]) -> pa.Table:

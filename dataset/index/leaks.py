@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from common.errors import counted
 from dataset.errors import DatasetError
-from dataset.frames.distinct_rows import by_session
+from dataset.frames.distinct_rows import by_session, moments
 from dataset.frames.frame_flags import is_excluded
-from dataset.frames.pairing import moments
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.index.duplicates import picture_keys
 from dataset.parquet_file import read_columns, read_metadata

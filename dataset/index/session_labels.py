@@ -17,11 +17,10 @@ from dataset.frames.distinct_rows import number_distinct
 from dataset.frames.frames_file import codes, read_frames
 from dataset.index.build_state import BuiltLog
 from dataset.samples.samples_format import SessionLabels
-from recorder.rows.devices import DEVICES, most_used_of
 from recorder.rows.label_plan import AS_RECORDED, goes_by_lag, plan_labels
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import SteeringHabits, steering_habits
-from recorder.topics import VEHICLE_COLUMNS
+from recorder.topics import DEVICES, VEHICLE_COLUMNS, most_used_of
 
 
 def labels_of_sessions(

@@ -17,7 +17,7 @@ from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from recorder import Log, LogError
 from recorder.errors import recovery
-from recorder.log.logs_in_folder import logs_in
+from recorder.log_flag import logs_in
 from recorder.mcap.mcap_file import McapFile
 from recorder.mcap.scan import read_summary
 

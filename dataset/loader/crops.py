@@ -1,5 +1,5 @@
-"""The crops of samples: read pictures from the logs, decode them ahead, mirror and alter them, and cache the
-crops.
+"""The crops of samples, and of a log that need not be in an index: read pictures from the logs, decode them ahead,
+mirror and alter them, and cache the crops.
 
 Any number of threads may use this at the same time; OpenCV releases Python's lock while it works.
 """
@@ -10,22 +10,29 @@ import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common import Skipped
 from common.car import CAMERAS
+from common.closeable import Closeable
+from common.errors import printable
+from common.files import session_name
 from common.process_settings import usable_cores
 from dataset.alterations import alter
-from dataset.errors import UnusablePictureError
-from dataset.frames.distinct_rows import number_distinct
+from dataset.errors import DatasetError, UnusablePictureError
+from dataset.frames.distinct_rows import number_distinct, paired_rows
+from dataset.frames.frames_table import driven_states
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image, crop_of, decode, in_channels
 from dataset.samples.sample_rows import Rows
-from recorder import Log, LogError
+from recorder import Log, LogError, Pictures
 from recorder.errors import damaged_pictures
+from recorder.log.session_car import known_max_steering_deg, metadata_of, stored_car
 from recorder.topics import camera_topic
 
 UNDECODED: Final = "pictures that do not decode"
@@ -183,3 +190,89 @@ def prefetched(
             yield finished(*waiting.popleft())
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+_AT_ONCE: Final = 4  # batches in work
+
+
+class LogCrops(Closeable):
+    """The pictures of a finished or unfinished log, numbered from 0 in the order of writing; arrays (N,). Use it
+    as a context manager, or call `close()`."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Raises LogError if the log is damaged, DatasetError if it has no picture of the centre camera."""
+        path = Path(path)
+        self.session = printable(session_name(path))  # a file name may have invalid characters
+        self.skipped = Skipped()  # each picture once
+        self._undecoded: set[int] = set()
+        self.log = Log(path)
+        try:
+            self._read(self.log.pictures(camera_topic("center")))
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self.log.close()
+
+    @property
+    def max_steering_deg(self) -> float | None:
+        """The angle of the wheels at steering 1, in degrees; None: unknown."""
+        return known_max_steering_deg(self.log)
+
+    @property
+    def about_car(self) -> dict[str, str]:
+        """The entries about the car and the source in the log's metadata."""
+        return {"log_source": self.log.metadata.get("source", ""), **metadata_of(stored_car(self.log))}
+
+    def _read(self, pictures: Pictures) -> None:
+        count = len(pictures.sequence)
+        if not count:
+            raise DatasetError(
+                f"{self.log.path}: has no picture of the centre camera; `bc-log info` lists its topics"
+            )
+        self.row: NDArray[np.int64] = pictures.sequence
+        self.log_time_ns: NDArray[np.int64] = pictures.log_time_ns
+        states, _ = driven_states(self.log)
+        state, picture = paired_rows(pictures, states)
+        recorded = np.full(count, np.nan)
+        recorded[picture] = states.steering[state]
+        self.recorded = np.where(np.abs(recorded) <= 1, recorded, np.nan)
+        """The steering (N,), -1..1, as in an index; NaN if the picture has no steering, or an invalid one."""
+        self._rows = Rows(
+            picture=np.arange(count, dtype=np.int32),
+            flip=np.zeros(count, np.bool_),
+            alteration=np.zeros(count, np.uint8),
+            seed=np.zeros(count, np.int64),
+            label=self.recorded.astype(np.float32),
+            session=np.zeros(count, np.int32),
+            offset=pictures.offset,
+            length=pictures.length.astype(np.int32),
+            chunk=pictures.chunk,
+            alterations=("",),
+            sessions=(self.session,),
+        )
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def batches(
+        self, size: int, spec: PictureSpec = ORIGINAL, step: int = 1
+    ) -> Iterator[tuple[NDArray[np.int64], Image]]:
+        """Yield the numbers of every `step`th picture and their crops, in order, in batches of at most `size`
+        crops of `spec.shape`. Threads read ahead.
+
+        Pictures that do not decode, or are in a damaged part of the log, are left out, and named in `skipped`.
+        """
+        numbers = np.arange(0, len(self), step)
+        parts = np.split(numbers, numbers[size::size])
+        threads = decoding_threads()
+        crops = Crops(self._rows, {self.session: self.log}, budget_bytes=0, spec=spec)
+
+        def skip(failed: Failed) -> None:
+            for number, error in failed.items():
+                if number not in self._undecoded:
+                    self._undecoded.add(number)
+                    self.skipped.add(error.kind, crops.name(number))
+
+        return prefetched(parts, crops.fill, spec, skip, threads=threads, at_once=_AT_ONCE)

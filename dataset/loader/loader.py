@@ -13,11 +13,12 @@ If a picture does not decode, or is in a damaged chunk of its log, it is left ou
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, SupportsIndex
 
 import numpy as np
 import pyarrow as pa
@@ -25,6 +26,8 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.closeable import Closeable
+from common.location import local_path
+from common.untrusted import real_path
 from dataset.alterations import EpochAlterations
 from dataset.config import EpochAlteration
 from dataset.loader.crops import Crops, Failed, Fill, decoding_threads, prefetched
@@ -32,8 +35,69 @@ from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.prediction_targets import STEERING_ONLY, TargetName
 from dataset.preprocessing import Image
 from dataset.samples.sample_rows import Rows
-from dataset.samples.samples_reader import Samples, Split
-from recorder.log.kept_logs import bring_here
+from dataset.samples.samples_reader import Samples, Split, open_logs
+from recorder.log.training_copies import bring_here
+
+
+class SamplesDataset(Closeable):
+    """The samples of a split for PyTorch's own DataLoader; `load` is faster, and needs no worker processes.
+
+    Item i is (picture `seen.shape` uint8, steering -1..1 float32), mirrored and altered as in the index. With
+    other targets, the second is (K,): see dataset.prediction_targets.
+
+    Use it as a context manager, or call `close()`. It may be pickled and used after a fork: a worker process opens
+    the logs again, and raises DatasetError if they have changed. An item whose picture does not decode raises
+    DatasetError, because a data set cannot skip an item.
+    """
+
+    def __init__(
+        self,
+        index: Path | str,
+        split: Split = "train",
+        seen: PictureSpec = ORIGINAL,
+        targets: Sequence[TargetName] = STEERING_ONLY,
+    ) -> None:
+        """Raises DatasetError if the index is missing, is damaged, or does not fit its logs."""
+        self._index = real_path(local_path(index))  # a worker may have another working folder
+        self._spec = seen
+        samples = Samples(self._index)
+        self._logs = samples.logs
+        try:
+            self._sources = samples.sources
+            samples.refuse_missing(targets)
+            self._rows = samples.rows_of_split(split, targets)
+            self._crops = Crops(self._rows, self._logs, 0, self._spec)
+        except BaseException:
+            self.close()
+            raise
+        self._process = os.getpid()
+
+    def close(self) -> None:
+        for log in self._logs.values():
+            log.close()
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, at: SupportsIndex) -> tuple[Image, np.float32 | NDArray[np.float32]]:
+        if self._process != os.getpid():
+            self._open()
+        sample = at.__index__()
+        picture = np.empty((1, *self._spec.shape), np.uint8)
+        for error in self._crops.fill(picture, np.array([sample])).values():
+            raise error
+        return picture[0], self._rows.label[sample]
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: getattr(self, name) for name in ("_index", "_spec", "_sources", "_rows")}
+        return {**kept, "_logs": {}, "_process": 0}
+
+    def _open(self) -> None:
+        self.close()  # the logs that the parent process had opened before the fork
+        self._logs = open_logs(self._index, self._sources)
+        self._crops = Crops(self._rows, self._logs, 0, self._spec)
+        self._process = os.getpid()
+
 
 DEFAULT_BUDGET_BYTES: Final = 1 << 30
 

@@ -18,11 +18,11 @@ from model import Pilot
 from model.pilot import NetworkAnswer
 from recorder.log.session_car import UDACITY
 from recorder.pictures.picture_size import pixels
-from recorder.rows.devices import Device
-from recorder.server.braking import WALKING_MPH, EmergencyBrake
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.world import World, WorldNotices
+from recorder.teleop.pedals import WALKING_MPH, EmergencyBrake
+from recorder.topics import Device
 
 MAX_PIXELS: Final = 1 << 21
 """The largest accepted picture. 1920x1080 is just within, and takes 10 ms to decode. A message may hold a

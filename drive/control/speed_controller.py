@@ -8,7 +8,7 @@ from typing import Final
 
 from common.car import MPS_PER_MPH
 from recorder.log.session_car import Car
-from recorder.server.braking import WALKING_MPH
+from recorder.teleop.pedals import WALKING_MPH
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import BRAKE_MPS2, MAX_WHEEL_RAD, THROTTLE_MPS2, WHEELBASE_M, resistance_mps2
 

@@ -3,14 +3,13 @@ key, stick or wheel."""
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
-from drive.control.speed_controller import SpeedController
-from recorder.log.session_car import Car
-from recorder.rows.devices import Device
 from recorder.server.world import World
-from recorder.teleop.seat import Control
-from recorder.teleop.wheel import Wheel
+from recorder.teleop.cockpit import Cockpit
+from recorder.teleop.pedals import throttle_of_telemetry
+from recorder.topics import Device
 
 # On three tracks, with networks that fail for seconds at a time, no takeover was too late at 10 and 15 mph, and
 # one in thirteen at 20 mph. With the offset alone (0.7 of the half width): one in eight at 15 mph, half at 20 mph.
@@ -107,29 +106,25 @@ class Takeover:
 class PersonTakeover:
     """Chooses the driver: the network, or the person at a wheel."""
 
-    def __init__(self, wheel: Wheel, set_speed_mph: float, car: Car | None) -> None:
-        self._wheel = wheel
-        self._car = car
-        self._speed = SpeedController(set_speed_mph, car=car)
-        self.control = Control()
-        """The controls of the last `update`."""
+    def __init__(self, cockpit: Cockpit) -> None:
+        self._cockpit = cockpit
         self.person_drives = False
 
     @property
     def device(self) -> Device | None:
         """The person's steering device; None while the network drives."""
-        return self.control.device if self.person_drives else None
+        return self._cockpit.control.device if self.person_drives else None
 
     def update(self, *, is_braked: bool) -> list[str]:
         """Choose the driver by the newest controls. Returns the events. `is_braked`: the car is braked, and
         the network does not drive it either."""
-        self.control = self._wheel.control()
+        control = self._cockpit.take_control()
         if not self.person_drives:
-            if not self.control.is_touching:
+            if not control.is_touching:
                 return []
             self.person_drives = True
             return [TAKES_OVER]
-        if self.control.is_absent:
+        if control.is_absent:
             self.person_drives = False
             return [NOBODY_BRAKED if is_braked else NOBODY]
         return []
@@ -143,9 +138,5 @@ class PersonTakeover:
 
     def command(self, speed_mph: float | None) -> tuple[float, float]:
         """Steering and throttle of the person. `speed_mph` is the car's speed, None if unknown."""
-        control = self.control
-        if control.hold_mph is None or speed_mph is None or control.throttle < 0.0:  # the brake comes first
-            return control.steering, control.throttle
-        if control.hold_mph != self._speed.set_speed_mph:
-            self._speed = SpeedController(control.hold_mph, car=self._car)
-        return control.steering, self._speed.throttle(speed_mph)
+        control = self._cockpit.control
+        return control.steering, throttle_of_telemetry(control, math.nan if speed_mph is None else speed_mph)

@@ -14,12 +14,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.autonomy import INTERVENTION_COST_S
 from drive.control.drive_clock import PUT_BACK
 from drive.evaluation.closed_loop import DriveResult
 from model.evaluation.differences import CONFIDENCE, Difference, Floats, Measure, Verdict, compare_sums, overall
 from recorder import Log
 from recorder.topics import EVENTS, POSE
+from simulator.driving.course import INTERVENTION_COST_S
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M
 from simulator.roads.track import Track, load_track
 

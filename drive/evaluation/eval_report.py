@@ -17,9 +17,9 @@ from common.files import short_path
 from common.output import plain_table, print_message, print_result, print_table
 from common.steering_unit import DEGREES, SteeringUnit
 from dataset.prediction_targets import TARGETS
-from model.evaluation.differences import CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
+from model.evaluation.differences import BLOCK_S, CONFIDENCE, FEWEST_BLOCKS, Difference, Verdict, overall
 from model.evaluation.evaluate import Evaluation
-from model.evaluation.run_comparison import BLOCK_S, Comparison
+from model.evaluation.run_comparison import Comparison
 from model.metrics import Measures, TargetErrors
 from model.runs.answer_scale import AnswerScale
 from model.runs.run_files import run_argument

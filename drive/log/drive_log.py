@@ -19,12 +19,10 @@ from common import UserError
 from common.closeable import Closeable
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
-from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN, HumanDriving
+from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, PILOT_DRIVES_AGAIN, BadTelemetry, HumanDriving
 from recorder.log.writer import EventLevel
-from recorder.server.telemetry import Telemetry
-from recorder.server.telemetry_row import write_telemetry
+from recorder.server.telemetry import Telemetry, write_telemetry
 
 if TYPE_CHECKING:
     from drive.control.driver import Decision  # loads PyTorch

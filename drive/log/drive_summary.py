@@ -8,11 +8,11 @@ from array import array
 from collections import Counter
 from typing import TYPE_CHECKING, Final, Literal
 
-from common.autonomy import autonomy_percent
 from common.car import MPS_PER_MPH
 from drive.control.drive_clock import DriveClock
 from recorder.rows.row_quality import GAP_S
 from recorder.server.world import World
+from simulator.driving.course import autonomy_percent
 
 if TYPE_CHECKING:
     from drive.control.driver import Decision  # loads PyTorch

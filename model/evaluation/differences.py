@@ -7,8 +7,8 @@ comparisons of equally good networks calls B worse.
 The intervals are of a paired block bootstrap. Neighbouring frames show the same stretch of road, so their errors
 are alike. As independent frames, they would give far too narrow intervals. So whole blocks are drawn, with
 replacement (Carlstein 1986, "The use of subseries values"; Künsch 1989, "The jackknife and the bootstrap for
-general stationary observations"). Both networks are measured on the same draw, so the difficulty of a block cancels
-out.
+general stationary observations"). Both networks are measured on the same draw, so the difficulty of a block
+cancels out.
 
 A measure such as the RMSE is a function of sums over frames. Each block is a row of sums, and a draw adds up rows.
 """
@@ -77,6 +77,7 @@ def _student_quantile(probability: float, freedom: int) -> float:
 
 
 CONFIDENCE: Final = 0.95  # that the intervals of all measures hold together
+BLOCK_S: Final = 5.0  # measured: errors are uncorrelated after 2 to 5 s
 FEWEST_BLOCKS: Final = 6  # fewer give no reliable interval
 
 Verdict = Literal["worse", "better", "not told apart", "unknown"]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from common.errors import counted
 from common.untrusted import real_path
 from dataset.errors import DatasetError
-from dataset.loader.log_crops import LogCrops
+from dataset.loader.crops import LogCrops
 from dataset.picture_spec import metadata_of
 from dataset.prediction_targets import steering_in
 from dataset.preprocessing import Image

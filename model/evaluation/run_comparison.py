@@ -19,12 +19,20 @@ from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
 from dataset.steering_bins import BINS, bin_of
-from model.evaluation.differences import CONFIDENCE, MEASURES, Difference, Floats, Measure, compare_sums, overall
+from model.evaluation.differences import (
+    BLOCK_S,
+    CONFIDENCE,
+    MEASURES,
+    Difference,
+    Floats,
+    Measure,
+    compare_sums,
+    overall,
+)
 from model.evaluation.evaluate import Evaluation, target_columns
 from model.metrics import is_turning
 from model.runs.run_folder import run_name
 
-BLOCK_S: Final = 5.0  # measured: errors are uncorrelated after 2 to 5 s
 MANY_SESSIONS: Final = 10  # from this number on, whole sessions are drawn: they differ more than blocks do
 
 

@@ -1,10 +1,12 @@
-"""Writes the files of a dataset: episode by episode, and at the end the files that describe the episodes."""
+"""Writes the files of a dataset: episode by episode, and at the end the files that describe the episodes,
+and its card, the README.md."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -13,8 +15,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from common.markdown import rendered
+from common.versions import version_of
 from recorder.lerobot import dataset_format as form
-from recorder.lerobot.export_plan import ExportPlan
+from recorder.lerobot.dataset_format import PREVIOUS_NAMES, SPLIT, STATE, ExportPlan
 from recorder.lerobot.log_episodes import Sizes
 from recorder.lerobot.video_files import VideoFiles
 
@@ -169,3 +173,53 @@ class DataFiles:
 def _leaf(field: pa.Field) -> str:
     """A column's name in parquet; a list has the name of its values."""
     return f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else str(field.name)
+
+
+CARD_PATH: Final = "README.md"
+NO_LICENCE: Final = "not stated: ask whoever recorded it before you use it"
+
+
+@dataclass(frozen=True)
+class CardSession:
+    name: str
+    fingerprint: str
+    session: Mapping[str, str]  # the log's metadata about its origin
+    rows: int
+    episodes: int
+    excluded: int
+
+    @property
+    def origin(self) -> str:
+        named = ("source", "track", "driver", "run", "recording")
+        parts = [f"{name}: {self.session[name]}" for name in named if self.session.get(name)]
+        return ", ".join(parts) or "unknown"
+
+
+def card(
+    info: Mapping[str, Any],
+    sessions: Sequence[CardSession],
+    plan: ExportPlan,
+    *,
+    task: str,
+    licence: str | None,
+    picture: str,
+) -> str:
+    """The text of a card. `picture`: the file name of an example."""
+    max_deg = plan.max_steering_deg
+    return rendered(
+        "recorder",
+        "dataset_card.md.jinja",
+        info=info,
+        sessions=sessions,
+        task=task,
+        licence=licence,
+        no_licence=NO_LICENCE,
+        picture=picture,
+        rate_hz=plan.rate_hz,
+        cameras=", ".join(name for name in info["features"] if name.startswith("observation.images.")),
+        full_lock="an unknown angle" if max_deg is None else f"{max_deg:g} degrees",
+        has_speed="speed_mph" in info["features"][STATE]["names"],
+        has_split=SPLIT in info["features"],
+        previous=", ".join(f"`{name}`" for name in PREVIOUS_NAMES),
+        version=version_of(),
+    )

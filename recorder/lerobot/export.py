@@ -19,9 +19,8 @@ from common.location import Location
 from common.progress import Advance, progress_bar, progress_task
 from recorder.errors import LogError
 from recorder.lerobot import dataset_format as form
-from recorder.lerobot.dataset_card import CARD_PATH, CardSession, card
-from recorder.lerobot.dataset_files import DatasetFiles, write_json, write_tasks
-from recorder.lerobot.export_plan import ExportPlan, plan_export
+from recorder.lerobot.dataset_files import CARD_PATH, CardSession, DatasetFiles, card, write_json, write_tasks
+from recorder.lerobot.dataset_format import ExportPlan, plan_export
 from recorder.lerobot.feature_statistics import (
     PictureStatistics,
     Statistics,

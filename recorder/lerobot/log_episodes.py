@@ -17,8 +17,7 @@ from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
 from recorder.log.tags import EXCLUDE, tags_of
 from recorder.mcap.picture_places import Pictures
-from recorder.pictures.decoding import decode_picture, is_whole_picture
-from recorder.pictures.picture_size import SizeReader
+from recorder.pictures.picture_size import SizeReader, decode_picture, is_whole_picture
 from recorder.rows.row_quality import States, drive_numbers
 from recorder.topics import camera_topic
 

@@ -27,10 +27,10 @@ from recorder.log.reader import Log
 from recorder.log.road_places import CarPlaces, states_of
 from recorder.log.session_car import UDACITY, car_in, max_steering_deg_of
 from recorder.rows.causes import ROW_FLAGS
-from recorder.rows.devices import RowDevice, most_used, most_used_of
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
 from recorder.rows.row_quality import States, drive_numbers, driven_s
 from recorder.rows.steering_habits import LagFinding, SteeringHabits, steering_habits
+from recorder.topics import RowDevice, most_used, most_used_of
 
 if TYPE_CHECKING:
     from foxglove_schemas_protobuf.Pose_pb2 import Pose

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -130,3 +130,38 @@ def earlier_seconds(event: str) -> float:
     """The seconds in the event of a `MeantGap`, for logs and exports of version 0.3 and earlier."""
     matched = _EARLIER_EVENT.match(event)
     return float(matched[1]) if matched else 0.0
+
+
+MAX_OF_EACH: Final = 5  # events of each kind; more telemetries are only counted
+
+_PREFIX: Final = "bad telemetry: "
+_MORE: Final = re.compile(r" \(([0-9][0-9,]{0,25}) more\)$")
+
+
+class BadTelemetry:
+    """Counts unusable telemetries by kind (`TelemetryError.kind`). There are few kinds, whatever clients send."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def take(self, kind: str, reason: str) -> str | None:
+        """Count a telemetry, and return its event; None after `MAX_OF_EACH` of its kind."""
+        self.counts[kind] += 1
+        return f"{_PREFIX}{reason}" if self.counts[kind] <= MAX_OF_EACH else None
+
+    def remaining(self) -> list[str]:
+        """The events at the end of a log, for telemetries that were only counted."""
+        return [
+            f"{_PREFIX}{kind} ({count - MAX_OF_EACH:,} more)"
+            for kind, count in self.counts.items()
+            if count > MAX_OF_EACH
+        ]
+
+
+def read_event(message: str) -> tuple[str, int]:
+    """The kind in an event's text, and the number of telemetries that it stands for; 0 for other events."""
+    if not message.startswith(_PREFIX):
+        return message, 0
+    reason = message.removeprefix(_PREFIX)
+    more = _MORE.search(reason)
+    return reason.partition(" (")[0], 1 if more is None else int(more[1].replace(",", ""))

@@ -27,14 +27,12 @@ from common.location import Location, location
 from recorder import topics
 from recorder.errors import LogError, recovery
 from recorder.mcap.chunk_reader import ChunkReader
-from recorder.mcap.log_index import LogIndex
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
-from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read
-from recorder.mcap.number_fields import decode_numbers, known_values
-from recorder.mcap.picture_places import Pictures, is_about_places, read_chunk_crcs
+from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, decode_numbers, known_values
+from recorder.mcap.picture_places import LogIndex, Pictures, is_about_places, read_chunk_crcs
 from recorder.mcap.salvage import salvage
 from recorder.mcap.scan import DAMAGED, GOES_ON, read_structure
-from recorder.rows.devices import DEVICES
+from recorder.topics import DEVICES
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
     import pyarrow as pa

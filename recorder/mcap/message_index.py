@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from recorder.mcap.compressed_image import image_data
-from recorder.mcap.mcap_file import MESSAGE, MIN_MESSAGE, OP_MESSAGE, RECORD, Chunk, McapFile
+from recorder.mcap.mcap_file import MESSAGE, RECORD, Chunk, McapFile
 from recorder.mcap.scan import Structure
+
+if TYPE_CHECKING:
+    from google.protobuf.message import Message
 
 UNCOMPRESSED: Final = -1  # instead of a chunk's offset: the bytes are in the file itself
 LAST_TIME_NS: Final = 2**63 - 1  # MCAP's times are unsigned; those of files, tables and NumPy are signed
@@ -32,7 +36,6 @@ ENTRY: Final = np.dtype(
 Read = tuple[Chunk, bytes]  # a chunk and its records
 Track = Callable[[Iterable[Read], int], Iterable[Read]]  # shows the progress while so many chunks are read
 
-_AT_ONCE: Final = 1 << 20  # bytes of records
 _HEAD: Final = np.dtype(
     [
         ("opcode", np.uint8),
@@ -50,9 +53,9 @@ def index_messages(
 ) -> NDArray[np.void]:
     """One ENTRY for each message in these chunks, in order. Raises LogError for a damaged chunk, or a time above
     LAST_TIME_NS."""
-    parts, count = [], 0
-    for together in _together(track(file.read_chunks(chunks), len(chunks))):
-        parts.append(_in_chunks(file, together, structure.image_channels))
+    parts, count, images = [], 0, sorted(structure.image_channels)
+    for chunk, records in track(file.read_chunks(chunks), len(chunks)):
+        parts.append(_in_chunk(file, chunk, records, images))
         count += len(parts[-1])
         file.check_count(count)
     table = np.concatenate(parts) if parts else np.empty(0, ENTRY)
@@ -61,60 +64,46 @@ def index_messages(
     return table
 
 
-def _together(read: Iterable[Read]) -> Iterator[list[Read]]:
-    """The chunks in groups of `_AT_ONCE`: arrays of a chunk's few messages would take longer than the messages.
-    The first chunk is alone: mostly, only that one has channels."""
-    group, size, enough = list[Read](), 0, 0
-    for chunk, records in read:
-        group.append((chunk, records))
-        size += len(records)
-        if size >= enough:
-            yield group
-            group, size, enough = [], 0, _AT_ONCE
-    if group:
-        yield group
-
-
-def _in_chunks(file: McapFile, read: Sequence[Read], images: set[int]) -> NDArray[np.void]:
-    """One ENTRY for each message in some chunks. `images`: channels of pictures."""
-    records = b"".join(records for _, records in read)
-    begins = np.cumsum([0, *(len(records) for _, records in read)])  # of each chunk's records, in `records`
-    are_small = len(records) <= 4 * _AT_ONCE  # bytes made to look like messages would fill the memory
-    are_small &= all(chunk.channels is not None and not chunk.channels & images for chunk, _ in read)
-    starts = _starts(records, begins) if are_small else None
-    if starts is None:
-        own = [np.array(file.parts(of_chunk).messages, np.int64) for _, of_chunk in read]
-        starts = np.concatenate([at + begin for at, begin in zip(own, begins.tolist(), strict=False)])
+def _in_chunk(file: McapFile, chunk: Chunk, records: bytes, images: Sequence[int]) -> NDArray[np.void]:
+    """One ENTRY for each message in a chunk. `images`: channels of pictures."""
+    starts = np.array(file.parts(records).messages, np.int64)
     table = np.empty(len(starts), ENTRY)
     if not len(starts):
         return table
-    number = np.searchsorted(begins, starts, side="right") - 1  # of the message's chunk
-    base = np.array([0 if chunk.compression else file.records_at(chunk) for chunk, _ in read]) - begins[:-1]
+    base = 0 if chunk.compression else file.records_at(chunk)
     # all messages' heads at once: a tuple for each would take 300 bytes
     heads = sliding_window_view(np.frombuffer(records, np.uint8), MESSAGE.size)[starts].view(_HEAD)[:, 0]
     for name in ("channel", "sequence", "log_time_ns"):
         table[name] = heads[name]
-    table["offset"] = starts + base[number] + MESSAGE.size
+    table["offset"] = starts + base + MESSAGE.size
     table["length"] = heads["length"].astype(np.int64) - (MESSAGE.size - RECORD.size)
     table["picture"], table["picture_length"] = -1, 0
-    table["chunk"] = np.array([chunk.start if chunk.compression else UNCOMPRESSED for chunk, _ in read])[number]
-    for at in np.flatnonzero(np.isin(table["channel"], sorted(images))).tolist():
+    table["chunk"] = chunk.start if chunk.compression else UNCOMPRESSED
+    for at in np.flatnonzero(np.isin(table["channel"], images)).tolist():
         picture, length = image_data(records, int(starts[at]) + MESSAGE.size, int(table["length"][at]))
         if picture >= 0:
-            table["picture"][at], table["picture_length"][at] = picture + base[number[at]], length
+            table["picture"][at], table["picture_length"][at] = picture + base, length
     return table
 
 
-def _starts(records: bytes, begins: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Where each message begins in the joined records of chunks, found without a loop; None if there are other
-    records, or if other bytes look like the first of a message. `begins`: of each chunk's records, and the end."""
-    if len(records) < RECORD.size:
-        return None
-    data = np.frombuffer(records, np.uint8)
-    starts = np.flatnonzero(data[: 1 - RECORD.size] == OP_MESSAGE)
-    lengths = sliding_window_view(data, 8)[starts + 1].view("<u8")[:, 0]
-    is_possible = (lengths >= MIN_MESSAGE) & (lengths < len(records))
-    starts, lengths = starts[is_possible], lengths[is_possible].astype(np.int64)
-    ends = np.concatenate([starts[1:], begins[-1:]])
-    is_chain = (starts + RECORD.size + lengths == ends).all() and np.isin(begins[:-1], starts, kind="table").all()
-    return starts if is_chain else None
+def decode_numbers(
+    data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64], kind: type[Message], names: Sequence[str]
+) -> NDArray[np.float64]:
+    """The fields `names` of N serialised messages of a type: an array (len(names), N). Message i is
+    data[starts[i]:ends[i]]. A missing `optional` field is NaN. A field of a field is named "pose.position.x".
+    Raises DecodeError as Protobuf does."""
+    fields: list[Any] = list(kind.DESCRIPTOR.fields)
+    lacking = {field.name for field in fields if field.has_presence and field.message_type is None}
+    places = zip(starts.tolist(), ends.tolist(), strict=True)
+    messages = [kind.FromString(data[start:end]) for start, end in places]
+    values = np.empty((len(names), len(messages)))
+    for row, name in zip(values, names, strict=True):
+        row[:] = list(map(attrgetter(name), messages))
+        if name in lacking:
+            row[[not message.HasField(name) for message in messages]] = np.nan
+    return values
+
+
+def known_values(numbers: NDArray[np.float64], count: int) -> NDArray[np.int8]:
+    """The values (N,) of an enum with `count` of them: 0, unknown, for those of a later version."""
+    return np.where((numbers >= 0) & (numbers < count), numbers, 0).astype(np.int8)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from common.stretches import stretches
-from recorder.pictures.decoding import decodes
+from recorder.pictures.picture_size import decodes
 
 FROZEN_PICTURES: Final = 3
 """This many equal pictures in a row from a moving car mean a frozen camera. A slow camera may repeat a picture

@@ -33,6 +33,9 @@ _ROWS: Final = (
 )
 _OTHER_STRETCHES: Final = (
     Cause("off_road", "off the road", is_sure=True),
+    Cause("leaving_the_road", "leaving the road", is_sure=True),
+    Cause("weaving", "weaving at full lock"),
+    Cause("wheel_off_the_road", "a wheel off the road", is_sure=True),
     Cause("coasting", "coasting to a halt"),
     Cause("creeping", "creeping"),
 )

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from recorder.rows.devices import Device
 from recorder.rows.steering_habits import LagFinding, SteeringHabits, SteeringLag
+from recorder.topics import Device
 
 SMOOTH_S: Final = 0.5
 """Presses and pauses last 0.2 to 1 s: half a second holds one, and is shorter than any bend."""

@@ -5,6 +5,7 @@ The approach to an impact, reversing, and the way out are one stretch.
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -43,6 +44,15 @@ COAST_SPEED_SHARE: Final = 1 / 3
 _ROUNDING_MPH: Final = 0.2
 OFF_S: Final = 0.5  # the shortest stretch off the road: drives put a car back at once
 JOIN_S: Final = 2.0  # a shorter time between two of these stretches is not driving
+WHEEL_M: Final = 0.8  # from the car's middle to its wheels: half of the simulator's WHEEL_TRACK_M
+WHEEL_OFF_S: Final = 5.0  # drivers who hurry cut bends for up to 3.3 s
+LEAVING_S: Final = 3.0
+"""The time in which a car leaves the road: a network would learn the mistake."""
+FULL_LOCK: Final = 0.95
+SWING_S: Final = 3.0  # at most, from full lock on one side to full lock on the other, and until the next swing
+SWINGS: Final = 4
+"""In a row, they are weaving. People in hairpins reach 2."""
+SWUNG_RAD: Final = math.radians(10)
 _MIN_ROWS: Final = 100  # to judge the scale of the steering
 
 Mask = NDArray[np.bool_]
@@ -102,7 +112,8 @@ def odd_stretches(states: States) -> list[OddStretch]:
         for first, last in stretches_within(mask & ~taken, drive):
             rows = slice(first, last + 1)
             taken[rows] = True
-            if not is_sure and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
+            is_whole = is_sure and kind not in ("weaving", "wheel_off_the_road")
+            if not is_whole and states.time_ns[last] - states.time_ns[first] < CRUMB_S * 1e9:
                 continue  # the edge of a stretch with another cause
             why = cause(rows) if callable(cause) else cause
             own_kind, why = why if isinstance(why, tuple) else (kind, why)
@@ -148,12 +159,25 @@ def _kinds(states: States, drive: NDArray[np.int64]) -> Iterator[tuple[str, Mask
             return f"its middle is up to {np.nanmax(beyond_m[rows]):.1f} m beyond the edge"
 
         yield "off_road", off_road_rows(beyond_m, time_s, drive), True, how_far
+        leaving = leaving_rows(beyond_m, time_s, drive)
+        yield "leaving_the_road", leaving, True, "it reaches the edge, where the drive breaks off"
     beyond = float((np.abs(states.steering) > 1).mean())  # False for NaN
     if beyond > MAX_OUT_OF_RANGE and len(drive) >= _MIN_ROWS:
         # without its bends, the rest would teach a network to go straight
         scale = f"steering beyond -1..1 in {beyond:.0%} of the rows: another scale, such as degrees?"
         yield "out_of_range", np.ones(len(drive), np.bool_), False, scale
     yield "out_of_range", flags["out_of_range"], True, "steering, a pedal or a speed that no car has"
+    # without poses, full lock may be what a source calls any steering
+    is_weaving_sure = states.heading_rad is not None
+    to_and_fro = "steered from full lock to full lock, again and again"
+    yield "weaving", weaving_rows(motion, states), is_weaving_sure, to_and_fro
+    if beyond_m is not None:
+
+        def how_far_off(rows: slice) -> str:
+            return f"its outer wheels are up to {np.nanmax(beyond_m[rows]) + WHEEL_M:.1f} m beyond the edge"
+
+        beside = stretch_rows(beyond_m > -WHEEL_M, time_s, drive, WHEEL_OFF_S)
+        yield "wheel_off_the_road", beside, True, how_far_off
 
     def from_a_stand(rows: slice) -> str:
         return f"or downhill? Up to {fastest_mph(rows):.0f} mph from a stand, without throttle"
@@ -204,15 +228,60 @@ def coasting_rows(motion: Motion, states: States) -> Mask:
 def off_road_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) -> Mask:
     """The rows (N,) off the road, including short returns. `time_s`: from `elapsed_s`; `drive`: the number of each
     row's drive."""
-    off = np.zeros(len(drive), np.bool_)
+    return stretch_rows(beyond_m > 0, time_s, drive, OFF_S)
+
+
+def stretch_rows(mask: Mask, time_s: Values, drive: NDArray[np.int64], least_s: float) -> Mask:
+    """The rows (N,) of a mask's stretches that last for `least_s`, and those between two of them."""
+    rows = np.zeros(len(drive), np.bool_)
     last_before = -1
-    for first, last in stretches_within(beyond_m > 0, drive):
-        if time_s[last] - time_s[first] < OFF_S:
+    for first, last in stretches_within(mask, drive):
+        if time_s[last] - time_s[first] < least_s:
             continue
         joins = last_before >= 0 and time_s[first] - time_s[last_before] <= JOIN_S
-        off[last_before + 1 if joins else first : last + 1] = True
+        rows[last_before + 1 if joins else first : last + 1] = True
         last_before = last
-    return off
+    return rows
+
+
+def leaving_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) -> Mask:
+    """The rows (N,) of the `LEAVING_S` before a drive breaks off at the road's edge, and another drive begins: the
+    car was put back."""
+    leaving = np.zeros(len(drive), np.bool_)
+    next_m = beyond_m + np.maximum(np.diff(beyond_m, prepend=beyond_m[:1]), 0.0)
+    for last in np.flatnonzero((np.diff(drive) > 0) & (next_m[:-1] > -WHEEL_M)).tolist():
+        leaving[np.searchsorted(time_s, time_s[last] - LEAVING_S) : last + 1] = True
+    return leaving
+
+
+def weaving_rows(motion: Motion, states: States) -> Mask:
+    """The rows (N,) of a moving car that is steered from full lock to full lock, again and again. Its heading has
+    to follow, where it is known."""
+    weaving = np.zeros(len(motion.drive), np.bool_)
+    there, here = _swings(np.where(motion.standing, 0.0, states.steering))
+    is_quick = motion.time_s[here] - motion.time_s[there] <= SWING_S  # drives are farther apart
+    waits = motion.time_s[there[1:]] - motion.time_s[here[:-1]] > SWING_S  # between two swings
+    in_a_row = np.cumsum(np.concatenate([[0], waits]))[: len(there)]
+    for first, last in stretches_within(is_quick, in_a_row):
+        rows = slice(int(there[first]), int(here[last]) + 1)
+        if last - first + 1 >= SWINGS and (
+            states.heading_rad is None or _turned_rad(states.heading_rad[rows]) >= SWUNG_RAD
+        ):
+            weaving[rows] = True
+    return weaving
+
+
+def _swings(steering: Values) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The last row at full lock on one side, and the first at full lock on the other, of each change of sides."""
+    locked = np.flatnonzero(np.abs(steering) >= FULL_LOCK)  # False for NaN
+    changes = np.flatnonzero(np.diff(np.sign(steering[locked])))
+    return locked[changes], locked[changes + 1]
+
+
+def _turned_rad(heading_rad: Values) -> float:
+    """The range of some headings; 0 if fewer than two are known."""
+    known = heading_rad[np.isfinite(heading_rad)]
+    return float(np.ptp(np.unwrap(known))) if len(known) else 0.0
 
 
 def odd_lines(odd: Sequence[OddStretch]) -> list[str]:

@@ -17,8 +17,8 @@ from common.car import MAX_STEERING_DEG
 from common.errors import counted
 from common.steering_unit import DEGREES, SteeringUnit
 from common.stretches import runs
-from recorder.rows.devices import RowDevice
 from recorder.rows.row_quality import States, Values, drive_numbers, driven_s, elapsed_s, usual_step
+from recorder.topics import RowDevice
 
 CEILING_S: Final = (0.25, 0.5, 1.0)
 """The times around a row, half before and half after, in which the other rows are its neighbours."""
@@ -69,7 +69,7 @@ class SteeringHabits:
 
 @dataclass(frozen=True)
 class SteeringLag:
-    """The lag of steering behind the turning that pictures show, as `recorder.seen.steering_lag` measures it."""
+    """The lag of steering behind the turning that pictures show, as `recorder.log.known_lag` measures it."""
 
     lag_s: float  # from the turning to the steering; negative: the steering comes first
     correlation: float  # of both at that lag; negative: the pictures turn the other way

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from recorder.errors import LogError
 from recorder.mcap.message_index import UNCOMPRESSED
 from recorder.mcap.picture_places import Pictures
-from recorder.pictures.decoding import decode_picture, scaled_to_width
-from recorder.pictures.picture_size import width_and_height
+from recorder.pictures.picture_size import decode_picture, scaled_to_width, width_and_height
 from recorder.rows.row_quality import States, Values
 from recorder.topics import camera_topic
 

@@ -1,4 +1,5 @@
-"""Guards the port: other programs, such as browsers and scanners, get a clear answer and time limits.
+"""The listening port and its guard: other programs, such as browsers and scanners, get a clear answer and time
+limits, and web pages of other sites may not reach the server.
 
 Each notice is one line with the next step.
 """
@@ -6,12 +7,20 @@ Each notice is one line with the next step.
 from __future__ import annotations
 
 import contextlib
+import errno
+import ipaddress
 import math
+import re
+import selectors
 import socket
 import time
 from collections.abc import Callable, Iterable
 from http import HTTPMethod
 from typing import Any, Final
+from urllib.parse import parse_qs
+
+from common.location import shown_address
+from recorder.errors import ListenError
 
 Notify = Callable[[str], None]
 
@@ -106,3 +115,120 @@ def first_bytes_problem(connection: socket.socket) -> str | None:
     if any(method.startswith(first) or first.startswith(method) for method in _METHODS):
         return None
     return NOTICE_NOT_HTTP
+
+
+_LOOPBACK_NAMES: Final = ("localhost", "localhost.localdomain", "ip6-localhost")
+_PLACE: Final = re.compile(
+    r"(?:[A-Za-z][A-Za-z0-9+.-]*:)?//(?:\[(?P<address>[^\s\[\]@/]+)\]|(?P<name>[^\s\[\]@/\\?#:]+))(?::[0-9]{0,5})?/?"
+)
+_PRIVATE: Final = (".local", ".internal", ".home.arpa")
+
+
+class AllowedHosts:
+    """The check of a request's `Host` and `Origin`: loopback names and addresses, and the server's `--host`.
+
+    Any page in the user's browser can reach every port of this machine. Its requests have the page's address as
+    `Origin`, and as `Host` the name that the browser connected to. After DNS rebinding, this is the attacker's
+    name, and it leads to this machine. Numeric addresses and private names cannot be rebound.
+
+    A server that listens everywhere (0.0.0.0) also allows every address, and names of private networks.
+    """
+
+    def __init__(self, host: str) -> None:
+        self._host = _normalised(host.strip("[]"))
+        self._is_everywhere = not host or (
+            _is_address(self._host) and ipaddress.ip_address(self._host).is_unspecified
+        )
+
+    def why_refused(self, environ: dict[str, Any]) -> str:
+        """The part of a WSGI request that is not allowed; empty if all of it is. Programs other than browsers may
+        leave out both headers."""
+        host, origin = environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN")
+        if host is not None and not self._allows_host(_name(f"//{host}")):
+            return f"by the name {host}"
+        if origin is not None and not self.allows(origin, environ):
+            return f"from {origin}"
+        # the answer is a script, which pages of all sites may run
+        return "by JSONP" if "j" in parse_qs(environ.get("QUERY_STRING", "")) else ""
+
+    def allows(self, origin: str | None, environ: dict[str, Any]) -> bool:
+        """True if a page of that origin may connect."""
+        name = _name(origin or "")
+        if not name:
+            return False
+        return is_loopback(name) or name in (self._host, _name(f"//{environ.get('HTTP_HOST', '')}"))
+
+    def _allows_host(self, name: str) -> bool:
+        if not name or is_loopback(name) or name == self._host:
+            return bool(name)
+        is_private = "." not in name or name.endswith(_PRIVATE) or name == _normalised(socket.gethostname())
+        return self._is_everywhere and (is_private or _is_address(name))
+
+
+def _name(url: str) -> str:
+    """The host in `//HOST` or `SCHEME://HOST`; empty for anything else, also where a user is named before the host
+    (`evil.example@127.0.0.1`) or something follows an address (`[::1].evil.example`)."""
+    matched = _PLACE.fullmatch(url)
+    return _normalised(matched["address"] or matched["name"]) if matched else ""
+
+
+def _normalised(name: str) -> str:
+    return name.lower().rstrip(".")
+
+
+def is_loopback(name: str) -> bool:
+    """True for this machine's own names and addresses, which no other can reach."""
+    if name in _LOOPBACK_NAMES or name.endswith(".localhost"):
+        return True
+    return _is_address(name) and ipaddress.ip_address(name).is_loopback
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def send_at_once(connection: socket.socket) -> None:
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def has_unread(stream: socket.socket) -> bool:
+    """True if there is unread data, or the other side has hung up."""
+    try:
+        with selectors.DefaultSelector() as selector:
+            selector.register(stream, selectors.EVENT_READ)
+            return bool(selector.select(0))
+    except (OSError, ValueError):  # closed
+        return False
+
+
+def listen(host: str, port: int, kind: type[Any] = socket.socket) -> Any:
+    """A socket of class `kind` that listens on host:port; port 0 takes a free one. Raises ListenError if that
+    fails.
+
+    `eventlet.listen` shares ports: a second server would silently take half of the connections.
+    """
+    if not 0 <= port < 65536:
+        raise ListenError(f"cannot listen on {shown_address(host, port)}: --port is a number from 1 to 65535")
+    try:
+        name = host.strip("[]") or None
+        found = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, *_, address = min(found, key=lambda one: one[0] != socket.AF_INET)  # IPv4, if a name has both
+        listener = kind(family, socket.SOCK_STREAM)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(16)
+        except OSError:
+            listener.close()
+            raise
+    except (OSError, ValueError) as error:  # ValueError: an invalid name of a host
+        reason = getattr(error, "strerror", None) or error
+        advice = "give an address of this machine by --host"
+        if getattr(error, "errno", None) in (errno.EADDRINUSE, errno.EACCES):
+            advice = "end the bc-drive or bc-record listen that is running there, or give another --port"
+        raise ListenError(f"cannot listen on {shown_address(host, port)} ({reason}); {advice}") from None
+    return listener

@@ -8,7 +8,6 @@ import os
 import socket
 import warnings
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
 from typing import Any, Final
 
 from recorder.server.connection_guard import (
@@ -20,8 +19,10 @@ from recorder.server.connection_guard import (
     Notify,
     OpenConnections,
     first_bytes_problem,
+    listen,
+    send_at_once,
 )
-from recorder.server.listening_socket import listen, send_at_once
+from recorder.server.websocket import WebSocket
 
 with warnings.catch_warnings():
     # users can do nothing about this warning
@@ -33,12 +34,7 @@ with warnings.catch_warnings():
     import eventlet.semaphore
     import eventlet.wsgi
 
-STREAM: Final = "telemetry.stream"  # the key of a request's socket in its WSGI environment
-
-
-def make_lock() -> AbstractContextManager[Any]:
-    lock: AbstractContextManager[Any] = eventlet.semaphore.Semaphore()
-    return lock
+_HANDSHAKE: Final = ("Host", "Upgrade", "Connection", "Sec-WebSocket-Key", "Sec-WebSocket-Version")
 
 
 def let_others_run() -> None:
@@ -46,9 +42,20 @@ def let_others_run() -> None:
     eventlet.sleep(0)
 
 
-def leave_unanswered() -> None:
-    """Write no HTTP answer to this green thread's request: it became a websocket, which is closed now."""
-    eventlet.wsgi.WSGI_LOCAL.already_handled = True
+def open_websocket(environ: dict[str, Any], *, max_bytes: int, timeout_s: float) -> WebSocket:
+    """Make a request's connection a websocket. Raises HandshakeError, or OSError if the client has gone."""
+    values = {name: environ.get("HTTP_" + name.upper().replace("-", "_")) for name in _HANDSHAKE}
+    stream = environ["eventlet.input"].get_socket()
+    stream.settimeout(timeout_s)
+    websocket = WebSocket(
+        stream,
+        [(name, value) for name, value in values.items() if value is not None],
+        max_bytes=max_bytes,
+        lock=eventlet.semaphore.Semaphore(),
+        let_others_run=let_others_run,
+    )
+    eventlet.wsgi.WSGI_LOCAL.already_handled = True  # no HTTP answer follows
+    return websocket
 
 
 class QuickAckGreenSocket(eventlet.greenio.GreenSocket):  # type: ignore[misc]
@@ -93,7 +100,6 @@ class _Handler(eventlet.wsgi.HttpProtocol):  # type: ignore[misc]
 
     def get_environ(self) -> dict[str, Any]:
         environ: dict[str, Any] = super().get_environ()
-        environ[STREAM] = self.connection
         if environ["REQUEST_METHOD"] == "GET":  # a request without a body is complete
             self._open_connections.add(self.connection)
         return environ

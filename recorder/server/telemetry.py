@@ -1,6 +1,6 @@
-"""Parses and checks telemetry, and formats commands.
+"""Parses, checks and logs telemetry, and formats commands.
 
-Accepts any object. Raises only TelemetryError if it is not a telemetry message.
+Parsing accepts any object. It raises only TelemetryError if it is not a telemetry message.
 """
 
 from __future__ import annotations
@@ -14,10 +14,13 @@ from typing import Final
 
 from common.car import CAMERAS, Camera
 from common.errors import brief, counted
+from recorder.bc_pb2 import VehicleState
 from recorder.log.session_car import UDACITY, Car
+from recorder.log.writer import LogWriter, pose_message
 from recorder.pictures.picture_size import PNG_START, whole_jpeg_size, whole_png_size
 from recorder.server.locale_numbers import POINT, decimal_separator, format_number, parse_number
 from recorder.server.world import World, json_kind, parse_world
+from recorder.topics import Device, device_value
 
 MAX_IMAGE_BYTES: Final = 1 << 20  # base64; the simulator's pictures have about 20 KB
 
@@ -207,3 +210,36 @@ def _image(value: object, name: str) -> bytes:
         return base64.b64decode(value, validate=True)
     except (binascii.Error, ValueError):
         raise TelemetryError(f"{name} is not base64") from None
+
+
+def write_telemetry(
+    writer: LogWriter,
+    time_ns: int,
+    row: int,
+    telemetry: Telemetry,
+    device: Device | None,
+    *,
+    brake: float = 0.0,
+    not_recorded_s: float = 0.0,
+    picture_size: tuple[int, int] | None = None,
+    crop: bytes | None = None,
+) -> None:
+    """Write pictures, vehicle state and pose. `crop`: a PNG of the network's input."""
+    if telemetry.picture:
+        writer.picture("center", time_ns, row, telemetry.picture, picture_size)
+    for camera, picture in telemetry.side_pictures.items():
+        writer.picture(camera, time_ns, row, picture)
+    if crop is not None:
+        writer.crop(time_ns, row, crop)
+    state = VehicleState(
+        steering=telemetry.steering,
+        throttle=telemetry.throttle,
+        brake=brake,
+        speed_mph=telemetry.speed_mph,
+        device=device_value(device),
+        not_recorded_s=not_recorded_s or None,
+    )
+    writer.vehicle(time_ns, row, state)
+    pose = None if telemetry.world is None else telemetry.world.pose
+    if pose is not None:
+        writer.pose(time_ns, row, pose_message(pose, time_ns))

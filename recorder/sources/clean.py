@@ -23,13 +23,19 @@ from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
 from recorder.mcap.message_index import LAST_TIME_NS
-from recorder.pictures.decoding import is_whole_picture
+from recorder.pictures.picture_size import is_whole_picture
 from recorder.rows.row_quality import GAP_S
-from recorder.sources.frame_rate import check_rate, describe_clock
-from recorder.sources.imported_rows import FROM_1970, ImportedRow, SkippedEvents
+from recorder.sources.imported_rows import (
+    FROM_1970,
+    ImportedRow,
+    Picture,
+    RawRecording,
+    RecordedRow,
+    SkippedEvents,
+    UnreadablePictureError,
+)
 from recorder.sources.picture_folder import WITHOUT_ROW
-from recorder.sources.recorded_row import Picture, RawRecording, RecordedRow, UnreadablePictureError
-from recorder.sources.settings import ImportSettings, TimeUnit
+from recorder.sources.settings import ImportSettings, TimeUnit, check_rate, describe_clock
 
 MAX_PICTURE_BYTES: Final = 1 << 26
 APART_NS: Final = 10_000_000_000

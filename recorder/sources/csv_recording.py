@@ -20,9 +20,8 @@ from common.untrusted import open_regular, whole_number
 from recorder.errors import RecordingError, readable
 from recorder.log.session_car import Car
 from recorder.sources.clean import camera_named
-from recorder.sources.imported_rows import recording_metadata
+from recorder.sources.imported_rows import RawRecording, RecordedRow, recording_metadata
 from recorder.sources.picture_folder import PictureFolder
-from recorder.sources.recorded_row import RawRecording, RecordedRow
 from recorder.sources.settings import TimeUnit
 from recorder.sources.udacity_csv import UTF16_MARKS, read_number
 from recorder.sources.udacity_recording import MAX_CSV_BYTES

@@ -27,9 +27,8 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError, readable
 from recorder.log.session_car import Car
 from recorder.mcap.message_index import LAST_TIME_NS
-from recorder.sources.imported_rows import FROM_1970, recording_metadata
+from recorder.sources.imported_rows import FROM_1970, RawRecording, RecordedRow, recording_metadata
 from recorder.sources.picture_folder import PictureFolder
-from recorder.sources.recorded_row import RawRecording, RecordedRow
 
 MANIFEST, META, EXCLUDED, IMAGES = "manifest.json", "meta.json", "exclude.json", "images"
 

@@ -8,8 +8,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
-from recorder.teleop.frame_state import FrameState
-from recorder.teleop.rate_meter import RateMeter
+from recorder.teleop.frame_state import FrameState, RateMeter
 from recorder.teleop.wheel import Wheel
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S

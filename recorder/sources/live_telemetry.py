@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from common import Skipped, UserError
 from common.errors import counted
@@ -17,24 +18,34 @@ from common.output import print_message
 from common.progress import StatusLine
 from common.streams import never_wait
 from recorder.errors import RecordingError
-from recorder.log.bad_telemetry import BadTelemetry
 from recorder.log.log_time import LogClock
-from recorder.log.meant_gaps import DISCONNECTED, HUMAN_DRIVES, HUMAN_HAS_STOPPED, HumanDriving, MeantGap
+from recorder.log.meant_gaps import (
+    DISCONNECTED,
+    HUMAN_DRIVES,
+    HUMAN_HAS_STOPPED,
+    BadTelemetry,
+    HumanDriving,
+    MeantGap,
+)
 from recorder.log.session_car import UDACITY, Car, metadata_of
 from recorder.log.writer import EventLevel, LogWriter, log_beside
-from recorder.rows.devices import Device
 from recorder.server.locale_numbers import POINT
-from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
-from recorder.server.telemetry_row import write_telemetry
+from recorder.server.telemetry import (
+    Telemetry,
+    TelemetryError,
+    check_whole_picture,
+    parse_telemetry,
+    write_telemetry,
+)
 from recorder.server.telemetry_server import NO_TELEMETRY_S, Answer, Steer, TelemetryServer
 from recorder.server.world import WorldNotices
 from recorder.sources.imported_rows import Imported
+from recorder.sources.person_of_telemetry import PersonOfTelemetry
 from recorder.sources.settings import ListenSettings
-from recorder.topics import PERSON_METADATA
+from recorder.teleop.frame_state import hello
+from recorder.teleop.wheel import Wheel
+from recorder.topics import PERSON_METADATA, Device
 from recorder.upkeep.derived_log import close_with_tags
-
-if TYPE_CHECKING:
-    from recorder.sources.person_of_telemetry import PersonOfTelemetry
 
 MAX_ROW_S = 0.2  # between two rows of a driven simulator; longer times were not recorded
 MAX_SIMULATORS = 8  # at once, each with its own log
@@ -90,6 +101,34 @@ def listen_for_telemetry(
         for session in recorded
     ]
     return replace(first, skipped=listener.skipped, others=others)
+
+
+def listen_at_the_wheel(
+    settings: ListenSettings,
+    log: Path,
+    hold_mph: float,
+    *,
+    overwrite: bool = False,
+    on_wheel: Callable[[Wheel], object] | None = None,
+) -> Imported:
+    """Record a person's drive in a simulator that connects to `log`, until the page, Ctrl-C or silence ends it.
+
+    `hold_mph`: the speed that the page offers to hold. `on_wheel` gets the wheel as soon as pages can connect.
+    Raises as `listen_for_telemetry`.
+    """
+    about = hello("listen", log, hold_mph=hold_mph)
+    with Wheel(f"{log.stem}, a simulator that connects", log, about) as wheel:
+        if on_wheel is not None:
+            on_wheel(wheel)
+        person = PersonOfTelemetry(wheel, hold_mph)
+        ended = {"log": str(log), "takeovers": []}
+        try:
+            done = listen_for_telemetry(log, settings, overwrite=overwrite, person=person)
+        except RecordingError:
+            wheel.end(ended | {"rows": 0, "why": f"{person.why}: nothing was recorded"})
+            raise
+        wheel.end(ended | {"rows": done.rows, "why": person.why})
+        return done
 
 
 class _Listener:
@@ -341,7 +380,7 @@ class _Session:
             self.writer.discard()
 
     def handle_requests(self, person: PersonOfTelemetry) -> None:
-        for text in person.handle_requests():
+        for text in person.attend():
             self._event(time.perf_counter_ns(), text)
 
     def _parsed(self, data: object) -> Telemetry | TelemetryError | None:

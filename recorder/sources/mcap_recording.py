@@ -29,7 +29,13 @@ from recorder.log.reader import Log
 from recorder.log.session_car import Car
 from recorder.mcap.mcap_file import WITHOUT_CRCS, Chunk
 from recorder.sources.compressed_video import VideoDecoder, is_video_type, video_in
-from recorder.sources.imported_rows import VIDEOS_ENCODED_ANEW, recording_metadata
+from recorder.sources.imported_rows import (
+    VIDEOS_ENCODED_ANEW,
+    RawRecording,
+    RecordedRow,
+    UnreadablePictureError,
+    recording_metadata,
+)
 from recorder.sources.mcap_messages import (
     Decoder,
     FieldError,
@@ -38,7 +44,6 @@ from recorder.sources.mcap_messages import (
     number_in,
     picture_in,
 )
-from recorder.sources.recorded_row import RawRecording, RecordedRow, UnreadablePictureError
 from recorder.sources.ros2_bag import SQLITE, SqliteFile, bag_files
 from recorder.sources.settings import ImportSettings
 from recorder.topics import PROFILE

@@ -21,11 +21,10 @@ from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of
 from recorder.log.writer import LogWriter
 from recorder.sources.built_in_simulator import CLOCK_START_NS
-from recorder.sources.frame_rate import check_rate
 from recorder.sources.gymnasium_car import GymnasiumCar
-from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.imported_rows import Imported
-from simulator.driving.wandering import Wandering
+from recorder.sources.settings import GymFlags, check_rate
+from simulator.driving.expert import Wandering
 
 
 @dataclass(frozen=True)

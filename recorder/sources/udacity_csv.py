@@ -20,7 +20,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from recorder.errors import RecordingError
-from recorder.sources.recorded_row import RecordedRow
+from recorder.sources.imported_rows import RecordedRow
 from simulator.protocol.udacity_writer import CSV_CAMERAS
 
 MAX_LINE_BYTES: Final = 1 << 16  # a longer line is not a row

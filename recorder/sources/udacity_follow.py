@@ -22,16 +22,14 @@ from common.untrusted import read_bounded
 from recorder.errors import RecordingError
 from recorder.log.session_car import UDACITY, Car
 from recorder.log.writer import LogWriter
-from recorder.pictures.decoding import is_whole_picture
+from recorder.pictures.picture_size import is_whole_picture
 from recorder.sources.clean import MAX_PICTURE_BYTES, NOT_WHOLE, REPEATED_ROWS, UNREADABLE, names_of, state_of
-from recorder.sources.csv_lines import CsvTail
 from recorder.sources.find_recording import is_udacity, recordings_near
-from recorder.sources.frame_rate import check_rate, describe_clock
-from recorder.sources.imported_rows import FROM_1970, Imported, SkippedEvents, recording_metadata
+from recorder.sources.imported_rows import FROM_1970, Imported, RecordedRow, SkippedEvents, recording_metadata
 from recorder.sources.picture_folder import WITHOUT_ROW
-from recorder.sources.recorded_row import RecordedRow
+from recorder.sources.settings import check_rate, describe_clock
 from recorder.sources.udacity_csv import RowReader
-from recorder.sources.udacity_recording import CSV_NAME, check_csv, udacity_pictures
+from recorder.sources.udacity_recording import CSV_NAME, CsvTail, check_csv, udacity_pictures
 
 WITHOUT_TIME: Final = "rows with no time in their pictures' names (--rate 20 takes them as 20 a second)"
 POLL_S: Final = 0.25

@@ -92,8 +92,8 @@ def check(path: Location, *, look: bool = True) -> Checked:
             lag, is_lag_kept = find_lag(log)
         shown = None if lag is None else lag.lag
         if look and has_rows and isinstance(path, Path):
+            from recorder.log.known_lag import measure_lag
             from recorder.seen.shown_stretches import with_pictures  # OpenCV
-            from recorder.seen.steering_lag import measure_lag
             from recorder.upkeep.swapped_cameras import same_pictures, swapped_cameras
 
             if states is None:

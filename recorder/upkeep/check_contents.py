@@ -16,8 +16,8 @@ from common.location import Location
 from common.stretches import consecutive
 from recorder import topics
 from recorder.bc_pb2 import VehicleState
-from recorder.log.bad_telemetry import read_event
 from recorder.log.findings import WrittenRows
+from recorder.log.meant_gaps import read_event
 from recorder.log.tags import TaggedRows
 from recorder.mcap.compressed_image import image_data
 from recorder.mcap.mcap_file import StoredMessage

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.reader import Log
-from recorder.pictures.decoding import decode_picture, scaled_to_width
+from recorder.pictures.picture_size import decode_picture, scaled_to_width
 from recorder.topics import camera_topic
 
 _CAMERAS: Final[tuple[Camera, ...]] = ("center", "left", "right")

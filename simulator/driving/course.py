@@ -5,16 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.autonomy import autonomy_percent
 from common.car import MPS_PER_MPH
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M, STEP_S, WHEELBASE_M, CarState, step
 from simulator.pose import Pose
 from simulator.roads.centreline import Centreline
+
+INTERVENTION_COST_S: Final = 6.0
+"""Time in which a person takes over, steers back and restarts the system: Bojarski et al. 2016 (arXiv 1604.07316),
+section 7.1."""
+
+
+def autonomy_percent(interventions: int, driven_s: float) -> float:
+    """The autonomy in percent (0..100) over `driven_s` seconds, which must be more than 0."""
+    return 100.0 * max(0.0, 1.0 - INTERVENTION_COST_S * interventions / driven_s)
+
 
 Height = Callable[[float, float], float]
 """The ground's height in metres at (x_m, y_m)."""

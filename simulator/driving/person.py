@@ -1,10 +1,17 @@
-"""The base class of drivers like people, with keys or a mouse: they look at intervals, and react with a delay."""
+"""Drivers like people: they look at intervals, react with a delay, and steer with keys or a mouse.
+
+In real cars, too, people steer in separate acts. Each is decided after an error has grown, and then executed as
+planned (Markkula, Boer, Romano and Merat 2018, "Sustained sensorimotor control as intermittent decisions about
+prediction errors", Biological Cybernetics 112). Times and lengths are fitted to recordings of people
+(docs/studies/drivers.md).
+"""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -118,3 +125,91 @@ class Person(ABC):
     def _about(self, value: float, spread: float) -> float:
         """A random value around `value`; `spread` is the standard deviation of its logarithm."""
         return value * math.exp(spread * self._random.standard_normal())
+
+
+# Sensitivity and gravity of the axis KeyboardHorizontal: ProjectSettings/InputManager.asset of Udacity's simulator
+# (github.com/udacity/self-driving-car-sim). At 9 rows a second, a press gives "0 4 13 22 25 25 16 9 0" degrees.
+AXIS_PER_S = 3.0  # full locks per second, while a key is held; and back, after its release
+
+# The steering of a press, summed over time, equals the wanted steering over the planned time. This time is longer
+# for more steering. The length of the press is random around this value.
+_PLANNED_S = 0.3
+_PLANNED_MORE = 2.0  # times the wanted steering
+_LENGTH_SPREAD = 0.4  # standard deviation of the logarithm
+_MIN_TAP_S = 0.07
+
+
+@dataclass(frozen=True)
+class KeyPress(Act):
+    """A press of a key: the left key with a target of -1, the right key with 1."""
+
+    def steering(self, time_s: float) -> float:
+        """The steering of Unity's axis: it rises to full lock while the key is held, and falls after its
+        release."""
+        held = max(0.0, min(time_s, self.up_s) - self.down_s)
+        back = max(0.0, time_s - self.up_s)
+        return self.side * max(0.0, min(1.0, AXIS_PER_S * held) - AXIS_PER_S * back)
+
+    def is_over(self, time_s: float) -> bool:
+        """True when the key is released and the steering is 0 again."""
+        return time_s >= self.up_s and self.steering(time_s) == 0.0
+
+
+class KeyboardDriver(Person):
+    """Wants the steering of the expert, but can only hold the left key, the right key, or none."""
+
+    look_ahead_s = 0.9  # with 0.6 (the expert's) and with 1.2, it leaves the road more often at 15 and 20 mph
+    dead_band = 0.12
+
+    def _begin(self, down_s: float, wanted: float) -> KeyPress:
+        held_s = self._about(max(_MIN_TAP_S, _press_length_s(abs(wanted))), _LENGTH_SPREAD)
+        return KeyPress(math.copysign(1.0, wanted), down_s, down_s + held_s)
+
+
+def _press_length_s(wanted: float) -> float:
+    """The time to hold a key, so that the steering summed over time equals ``wanted`` over the planned time."""
+    area = wanted * _PLANNED_S * (1.0 + _PLANNED_MORE * wanted)
+    # The area under the steering is AXIS_PER_S * held² without full lock (two triangles), and `held` with full
+    # lock.
+    return math.sqrt(area / AXIS_PER_S) if area < 1.0 / AXIS_PER_S else area
+
+
+FULL_LOCK_PX: Final = 170
+"""A sixth of a window of 1024 px: the values in the recording are multiples of 25 / 170 degrees."""
+
+# The steering is 0 between two drags, so a drag has to steer more than the average steering.
+_GAIN = 2.0
+_GAIN_SPREAD = 0.15  # standard deviation of the logarithm, like the other spreads
+_HELD_S = 0.9
+_HELD_SPREAD = 0.25
+_HAND_S = 0.35  # time constant of the hand's movement to its target
+_NEW_GRIP_S = 0.1  # for moving the mouse back
+
+
+@dataclass(frozen=True)
+class Drag(Act):
+    """A movement of the mouse with the button held. The target may be beyond full lock: the table is larger."""
+
+    def steering(self, time_s: float) -> float:
+        """The steering, in whole pixels: it approaches the target exponentially, up to full lock; 0 when the
+        button is released."""
+        if not self.is_held(time_s):
+            return 0.0
+        moved = self.target * (1.0 - math.exp((self.down_s - time_s) / _HAND_S))
+        return max(-1.0, min(1.0, round(moved * FULL_LOCK_PX) / FULL_LOCK_PX))
+
+    def is_over(self, time_s: float) -> bool:
+        """True when the button is released and the mouse has been moved back."""
+        return time_s >= self.up_s + _NEW_GRIP_S
+
+
+class MouseDriver(Person):
+    """Presses the button, drags the mouse to a side, and releases it. In Udacity's simulator, the steering is the
+    distance from the place where the button was pressed; without the button, it is 0."""
+
+    look_ahead_s = 1.2  # drags are longer than key presses: with 0.9 the car weaves, and leaves the road at 15 mph
+    dead_band = 0.15
+
+    def _begin(self, down_s: float, wanted: float) -> Drag:
+        target = self._about(_GAIN * wanted, _GAIN_SPREAD)
+        return Drag(target, down_s, down_s + self._about(_HELD_S, _HELD_SPREAD))

@@ -7,8 +7,7 @@ from typing import Final, Protocol
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
 from simulator.driving.expert import Expert
-from simulator.driving.keyboard import KeyboardDriver
-from simulator.driving.mouse import MouseDriver
+from simulator.driving.person import KeyboardDriver, MouseDriver
 from simulator.roads.centreline import Centreline
 
 

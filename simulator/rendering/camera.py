@@ -16,16 +16,41 @@ from numpy.typing import NDArray
 
 from common.car import Camera
 from simulator.pose import Pose
-from simulator.rendering.bonnet import TOP_PX as BONNET_PX
-from simulator.rendering.bonnet import draw_bonnet
 from simulator.rendering.noise import Field, cobble_tile, grain_tile
-from simulator.rendering.props_view import PropsView
+from simulator.rendering.props import PropsView
 from simulator.rendering.raycast import COLUMNS, ROWS, Eye, RayCaster, look_up, on_map, with_rim
-from simulator.rendering.road_texture import ACROSS_M, REACH_M
-from simulator.rendering.road_texture import COLUMNS as ROAD_COLUMNS
-from simulator.rendering.sky import BOTTOM, HAZE, TOP
 from simulator.rendering.terrain import CELL_M
-from simulator.rendering.world_maps import WorldMaps
+from simulator.rendering.textures import ACROSS_M, REACH_M
+from simulator.rendering.textures import COLUMNS as ROAD_COLUMNS
+from simulator.rendering.world_maps import HAZE, SKY_BOTTOM, SKY_TOP, WorldMaps
+
+BONNET_PX = 132  # the first row with the bonnet
+PAINT, SHADE, GLOSS = (126, 138, 136), (60, 66, 66), (184, 194, 194)  # BGR
+
+
+def draw_bonnet(camera: str, width_px: int, height_px: int) -> NDArray[np.uint8]:
+    """The lowest rows, from ``BONNET_PX`` on: (height - BONNET_PX, width, 4) uint8 BGRA, transparent outside the
+    bonnet."""
+    fine = 4
+    x = np.arange(width_px * fine) / fine
+    if camera == "center":
+        edge = 137.0 + 22.0 * (np.abs(x - 164.0) / 84.0) ** 2.6
+    else:
+        inner = x - 184.0 if camera == "left" else 122.0 - x  # distance from the bonnet's corner
+        edge = np.where(inner > 0, 138.5 + 20.0 * np.exp(-np.maximum(inner, 0) / 9.0), 200.0)
+    layer = np.zeros(((height_px - BONNET_PX) * fine, width_px * fine, 4), np.float32)
+    y = (BONNET_PX + np.arange(layer.shape[0]) / fine)[:, None]
+    depth = y - edge[None, :]
+    shine = np.clip(1.0 - np.abs(depth - 3.0) / 3.0, 0.0, 1.0)[..., None]
+    dull = np.clip((depth - 5.0) / 14.0, 0.0, 0.55)[..., None]
+    colour = np.array(PAINT) + shine * (np.array(GLOSS) - PAINT)
+    layer[..., :3] = colour + dull * (np.array(SHADE) - colour)
+    layer[..., 3] = 255.0 * (depth > 0)
+    rim = (depth > 0) & (depth < 0.8)
+    layer[..., :3][rim] = SHADE
+    small = cv2.resize(layer, (width_px, height_px - BONNET_PX), interpolation=cv2.INTER_AREA)
+    return np.clip(small, 0, 255).astype(np.uint8)
+
 
 Picture = NDArray[np.uint8]
 
@@ -195,7 +220,7 @@ class Renderer:
         level = up / np.sqrt(1.0 + side * side)
         column = azimuth * np.float32(columns / (2 * np.pi))
         _wrap(column, columns)
-        row = np.clip((TOP - level) * np.float32((rows - 1) / (TOP - BOTTOM)), 0, rows - 1)
+        row = np.clip((SKY_TOP - level) * np.float32((rows - 1) / (SKY_TOP - SKY_BOTTOM)), 0, rows - 1)
         colours = cv2.remap(self._panorama, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         return np.asarray(colours, dtype=np.uint8)
 

@@ -8,19 +8,52 @@ import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from common import UserError, atomic_file
 from common.users_cache import users_cache
-from simulator.rendering.ground_texture import paint_ground
 from simulator.rendering.noise import Field
 from simulator.rendering.props import cast_shadows, place_props
-from simulator.rendering.road_texture import paint_road
-from simulator.rendering.sky import paint_sky
 from simulator.rendering.terrain import CELL_M, shape_terrain
+from simulator.rendering.textures import paint_ground, paint_road
 from simulator.roads.centreline import Floats
 from simulator.roads.track import Track
+
+_SKY_WIDTH_PX, _SKY_HEIGHT_PX = (
+    2048,
+    256,
+)  # 360 degrees; from SKY_TOP to SKY_BOTTOM, which are tangents of the elevation
+SKY_TOP, SKY_BOTTOM = 0.9, -0.1
+HAZE = (200, 184, 166)  # BGR at the horizon
+BLUE = (178, 122, 84)  # BGR overhead
+
+
+def paint_sky(random: np.random.Generator, jungle: float) -> NDArray[np.uint8]:
+    """The sky and the far hills at infinite distance: (256, 2048, 3) uint8 BGR. The columns are azimuths,
+    counter-clockwise from east.
+
+    ``jungle`` (0..1) makes the hills higher, nearer and darker.
+    """
+    tangent = np.linspace(SKY_TOP, SKY_BOTTOM, _SKY_HEIGHT_PX)[:, None, None]
+    up = np.clip(tangent / 0.45, 0.0, 1.0) ** 0.7
+    sky = np.array(HAZE) + up * (np.array(BLUE, dtype=np.float64) - HAZE) + np.zeros((1, _SKY_WIDTH_PX, 1))
+    azimuth = np.linspace(0.0, 2 * np.pi, _SKY_WIDTH_PX, endpoint=False)
+    bare, wooded = np.array([118.0, 140, 136]), np.array([46.0, 58, 50])
+    for layer, (height, distance) in enumerate(((0.10, 0.55), (0.055, 0.25))):
+        waves = range(3, 120, 4 - layer)
+        ridge = sum(
+            np.cos(k * azimuth + random.uniform(0, 6.28)) * random.uniform(0.2, 1.0) / k**0.8 for k in waves
+        )
+        top = height * (1.0 + 0.8 * jungle) * (0.55 + 0.28 * np.asarray(ridge))
+        colour = bare + jungle * (wooded - bare)
+        colour = colour + (np.array(HAZE) - colour) * distance * (1.0 - 0.5 * jungle)
+        texture = 1.0 + 0.12 * random.normal(size=(_SKY_HEIGHT_PX, _SKY_WIDTH_PX, 1))
+        cover = np.clip((top[None, :, None] - tangent) * _SKY_HEIGHT_PX / (SKY_TOP - SKY_BOTTOM) + 0.5, 0.0, 1.0)
+        sky += cover * (colour * texture - sky)
+    return np.asarray(cv2.blur(np.clip(sky, 0, 255).astype(np.uint8), (3, 1)), dtype=np.uint8)
+
 
 FORMAT = 3  # of the cache files; increase it when the shape or the colours of a world change
 

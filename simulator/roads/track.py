@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from common.errors import did_you_mean
 from simulator.roads.built_in_tracks import LAKE, MOUNTAIN
 from simulator.roads.centreline import Centreline, Floats
-from simulator.roads.hairpin_road import hairpin_road
-from simulator.roads.random_road import random_road
+from simulator.roads.random_road import hairpin_road, random_road
 from simulator.roads.road_stretches import Look, trace
 
 WIDTH_SMOOTHING_M = 4.0

@@ -25,7 +25,7 @@ from dataset.frames.image_check_cache import read_image_check
 from dataset.index.build_state import BuildState, read_state
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
-from recorder.pictures.decoding import decodes
+from recorder.pictures.picture_size import decodes
 from recorder.sources.imported_rows import Imported
 from recorder.sources.mcap_messages import decoder_for
 from recorder.sources.recording_kinds import import_recording

@@ -23,8 +23,8 @@ from drive.control.driver import Decision
 from drive.log.drive_log import DriveLog
 from recorder import LogWriter
 from recorder.bc_pb2 import PilotCommand
-from recorder.log.bad_telemetry import MAX_OF_EACH
 from recorder.log.log_time import LogClock
+from recorder.log.meant_gaps import MAX_OF_EACH
 from recorder.server.eventlet_host import EventletHost
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World

@@ -22,9 +22,9 @@ from model import load_pilot
 from recorder import Log
 from recorder.bc_pb2 import PilotCommand
 from recorder.log.tags import Tag, read_tags
-from recorder.rows.devices import DEVICES
 from recorder.server.telemetry_server import Steer
 from recorder.teleop.wheel import Wheel
+from recorder.topics import DEVICES
 from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import road_jpeg, untrained_run
 from tests.helpers.logs import read_messages

@@ -13,7 +13,7 @@ import pytest
 
 from drive.at_wheel import PUT_BACK
 from recorder import Log
-from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.wheel import open_wheels
 from recorder.topics import DRIVE_METADATA
 from tests.helpers.driving import Process, command, untrained_run
 from tests.helpers.waiting import wait_until

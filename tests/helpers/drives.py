@@ -16,9 +16,9 @@ EXPERT: dict[int, dict[str, Any]] = {row: {"expert_steering": 0.1 - 0.2 * (row -
 """From the sixth row on, an expert is there, who would steer 0, 5, 10, 15 and 20 degrees more to the left."""
 
 
-def a_drive(path: Path, run: str, picture: Callable[[int], bytes] | None = None) -> None:
+def a_drive(path: Path, run: str, picture: Callable[[int], bytes] | None = None, **session: str) -> None:
     """Ten rows eastwards; after the fifth one the car was put back."""
-    with LogWriter(path, {"source": "drive", "run": run}) as writer:
+    with LogWriter(path, {"source": "drive", "run": run} | session) as writer:
         for row in range(10):
             now_ns = START_NS + row * STEP_NS
             pose = PoseInFrame()

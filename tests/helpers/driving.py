@@ -56,7 +56,7 @@ def command(name: str, *arguments: object) -> list[str]:
 
 PATIENT: Final = (
     f"import drive.drive_session as it; it.WATCHDOG_S = it.SILENT_S = {PATIENCE_S}",
-    f"import recorder.server.braking as it; it.stopping_s = lambda speed_mph: {PATIENCE_S}",
+    f"import recorder.teleop.pedals as it; it.stopping_s = lambda speed_mph: {PATIENCE_S}",
     f"import recorder.server.telemetry_server as it; it.FIRST_COMMAND_S = {PATIENCE_S}",
 )
 """Python for `command_after`: what serves a simulator sends it nothing unasked, though others keep it from telling

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorder.sources.csv_lines import CsvTail
+from recorder.sources.udacity_recording import CsvTail
 
 WAYS = ["written anew", "another file", "deleted first"]
 

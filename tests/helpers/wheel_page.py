@@ -14,7 +14,7 @@ from typing import Any, Self
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from recorder.teleop.open_wheels import OpenWheel, open_wheels
+from recorder.teleop.wheel import OpenWheel, open_wheels
 from tests.helpers.waiting import PATIENCE_S
 
 

@@ -14,7 +14,7 @@ from common.errors import StoreError, UserError
 from dataset import DatasetError, IndexConfig, Samples, build_index
 from dataset.loader.loader import Loader, load
 from model.training.trainer import train
-from recorder.log.kept_logs import bring_here
+from recorder.log.training_copies import bring_here
 from tests.helpers.bucket import Bucket
 from tests.helpers.logs import write_log
 from tests.helpers.toy import SMALL, STEERING, road

@@ -17,7 +17,7 @@ from mcap_protobuf.schema import register_schema
 
 from common.car import CAMERAS
 from dataset.cli import main as bc_index
-from dataset.loader.log_crops import LogCrops
+from dataset.loader.crops import LogCrops
 from drive.evaluation.eval_cli import main as bc_eval
 from model.cli import main as bc_train
 from recorder import Log, LogError, LogWriter

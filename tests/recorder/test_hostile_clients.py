@@ -17,13 +17,11 @@ import websocket
 
 from recorder.server import (
     connection_guard,
-    engineio_connection,
     eventlet_host,
     telemetry_server,
 )
-from recorder.server.allowed_hosts import AllowedHosts
-from recorder.server.telemetry_server import MAX_MESSAGE_BYTES
-from recorder.server.websocket import FRAME_BYTES, TOO_LARGE
+from recorder.server.connection_guard import AllowedHosts
+from recorder.server.websocket import MAX_FRAMES, TOO_LARGE
 from tests.helpers.driving import PATIENCE_S
 from tests.helpers.serving import (
     UNUSED,
@@ -137,25 +135,11 @@ def test_what_a_client_does_not_read_is_bounded() -> None:
     book = Book()
     with Serving(book) as serving:
         client = PollingClient(serving.port)
-        for _ in range(engineio_connection.MAX_UNREAD_PACKETS + 1):
+        for _ in range(telemetry_server.MAX_UNREAD_PACKETS + 1):
             client.request('42["telemetry",1]')
         wait_until(lambda: "disconnected" in book.calls)
-        assert book.calls.count("telemetry") <= engineio_connection.MAX_UNREAD_PACKETS + 1
-        assert engineio_connection.NOTICE_NOT_READING in serving.said
-
-
-def test_heartbeats_that_nobody_reads_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A client asks for answer after answer, and reads none."""
-    monkeypatch.setattr(engineio_connection, "MAX_ECHOED_CHARACTERS", 10_000)  # else it takes 40,000 of them
-    with Serving(Book()) as serving:
-        deaf = RawClient(serving.port)
-        ping = websocket.ABNF.create_frame(b"2" + b"x" * 10_000, websocket.ABNF.OPCODE_TEXT).format()
-        with contextlib.suppress(ConnectionError):
-            for _ in range(5_000):  # 50 MB in answers: more than any system keeps for a connection
-                deaf.stream.sendall(ping)
-        wait_until(lambda: engineio_connection.NOTICE_NOT_READING in serving.said)
-        deaf.vanish()
-        assert len(tell(serving.port, range(3))) == 3
+        assert book.calls.count("telemetry") <= telemetry_server.MAX_UNREAD_PACKETS + 1
+        assert telemetry_server.NOTICE_NOT_READING in serving.said
 
 
 @pytest.mark.parametrize("content", [b"", b"x"])
@@ -164,12 +148,12 @@ def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: byte
         client = RawClient(serving.port)
         size = bytes([0x80 | len(content)])
         client.stream.sendall(b"\x01" + size + bytes(4) + content)
-        most = 2 * MAX_MESSAGE_BYTES // FRAME_BYTES
+        most = 2 * MAX_FRAMES
         with contextlib.suppress(ConnectionError):
             for _ in range(most // 1000):
                 client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
         client.until_hung_up()
-        wait_until(lambda: engineio_connection.NOTICES_HUNG_UP[TOO_LARGE] in serving.said)
+        wait_until(lambda: TOO_LARGE in serving.said)
 
 
 # Those who send without end

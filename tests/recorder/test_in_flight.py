@@ -93,9 +93,9 @@ def test_a_client_is_not_answered_after_its_ping_timeout(monkeypatch: pytest.Mon
         loop = pushed_loop(book, 1)
         loop.tell()
         wait_until(lambda: has_held(book))
-        connection = book.server._connection(book.sid)
-        assert connection is not None
-        connection.last_ping = time.time() - 1000  # it was suspended
+        client = book.server._client(book.sid)
+        assert client is not None
+        client.connection.last_ping = time.time() - 1000  # it was suspended
         wait_until(lambda: "disconnected" in book.calls)
         for name in ("MIN_HOLD_S", "MAX_HOLD_S", "FIRST_HOLD_S"):
             monkeypatch.setattr(flight, name, 0.0)
@@ -107,8 +107,8 @@ def test_a_client_is_not_answered_after_its_ping_timeout(monkeypatch: pytest.Mon
 
 
 def has_held(book: Pushing) -> bool:
-    connection = book.server._connection(book.sid)
-    return connection is not None and connection.in_flight.holds
+    client = book.server._client(book.sid)
+    return client is not None and client.in_flight.holds
 
 
 def serving(book: Pushing, **options: Any) -> Serving:

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset import decode
-from recorder.pictures.decoding import decode_picture
 from recorder.pictures.picture_size import (
     PADDING_BYTES,
     SizeReader,
+    decode_picture,
     is_whole_jpeg,
     whole_jpeg_size,
     whole_png_size,

@@ -13,12 +13,12 @@ import pytest
 from dataset import build_index
 from recorder import Log
 from recorder.bc_pb2 import VehicleState
+from recorder.log import known_lag as steering_lag
 from recorder.log.findings import Findings
 from recorder.log_cli import main
 from recorder.rows.label_plan import NOT_MEASURED
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import SteeringLag
-from recorder.seen import steering_lag
 from recorder.upkeep.edit import rewrite, trim
 from recorder.upkeep.log_info import LogInfo, describe
 from tests.helpers.panorama import pressed, views, write_drive

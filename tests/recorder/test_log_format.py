@@ -26,10 +26,9 @@ from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import MeantGap
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.gymnasium_flags import GymFlags
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
 from recorder.sources.recording_kinds import import_recording
-from recorder.sources.settings import SimulatedDrive
+from recorder.sources.settings import GymFlags, SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover
 from tests.helpers.driving import road_jpeg, run, run_code, untrained_run

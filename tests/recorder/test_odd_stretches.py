@@ -23,6 +23,8 @@ Part = tuple[float, float, float, float, float]
 CRUISE: Part = (15.0, 0.0, 0.5, 20.0, 20.0)
 STOP: Part = (1.0, 0.0, -1.0, 20.0, 0.0)
 START: Part = (2.0, 0.0, 1.0, 0.0, 20.0)
+LEFT: Part = (1.0, -0.98, 0.5, 20.0, 20.0)
+RIGHT: Part = (1.0, 0.98, 0.5, 20.0, 20.0)
 
 
 def driven(*parts: Part) -> States:
@@ -97,6 +99,11 @@ def test_creeping_and_coasting_to_a_halt_are_told_but_not_sure() -> None:
     assert [stretch[0::3] for stretch in found_in(CRUISE, *coast, CRUISE)] == [("coasting", False)]
 
 
+def test_full_lock_to_and_fro_is_weaving_as_long_as_it_lasts() -> None:
+    # from the end of the first full lock to the begin of the last one; without poses, it is not sure
+    assert found_in(CRUISE, *[LEFT, RIGHT] * 3, CRUISE) == [("weaving", 15.9, 20.0, False)]
+
+
 @pytest.mark.parametrize(
     "parts",
     [
@@ -106,6 +113,7 @@ def test_creeping_and_coasting_to_a_halt_are_told_but_not_sure() -> None:
         pytest.param([(9.0, 0.0, 0.0, 0.0, 20.0), (9.0, 0.0, 0.0, 20.0, 20.0)], id="no pedals were recorded"),
         pytest.param([START, CRUISE, (3.0, 0.6, 0.2, 7.0, 7.0), CRUISE], id="a hairpin"),
         pytest.param([START, (5.0, 0.0, 1.0, math.nan, math.nan), CRUISE], id="an unknown speed"),
+        pytest.param([START, LEFT, RIGHT, CRUISE, RIGHT, LEFT, RIGHT, CRUISE], id="bends at full lock"),
     ],
 )
 def test_what_is_ordinary_is_not_odd(parts: list[Part]) -> None:

@@ -1,7 +1,9 @@
-"""A car that leaves the road is named, where its places are recorded and its road is built in."""
+"""How a car keeps to its road is named, where its places are recorded and its road is built in."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from recorder.log_cli import main as bc_log
 from recorder.rows.odd_stretches import odd_stretches, off_road_rows
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe
+from simulator.driving.course import Course
 from simulator.driving.expert import Expert
 from simulator.driving.simulation import Simulation
 from tests.helpers.logs import START_NS
@@ -89,3 +92,73 @@ def test_stretches_that_follow_are_one_and_a_car_put_back_is_none() -> None:
     beyond_m[[10, *range(20, 30), *range(45, 60), *range(90, 96)]] = 0.5
     off = off_road_rows(beyond_m, np.arange(100) / 10, np.zeros(100, np.int64))
     assert {*np.flatnonzero(off)} == {*range(20, 60), *range(90, 96)}
+
+
+def written(log: Path, seconds: int, mph: float, steer: Callable[[Course, float], float]) -> int:
+    """A drive on the lake, as a person's is recorded: a car that leaves the road is put back on its line. `steer`
+    gets the expert's steering. The number of times that it was put back."""
+    course = Simulation("lake").course
+    expert, put_back = Expert(course.line, mph), 0
+    with LogWriter(log, {"source": "simulator", "track": "lake", "driver": "human"}) as writer:
+        for row in range(seconds * RATE_HZ):
+            steering, throttle = expert.control(course)
+            steering = steer(course, steering)
+            time_ns = START_NS + row * 10**9 // RATE_HZ + put_back * 1_500_000_000
+            speed_mph = course.vehicle.speed_mph
+            writer.vehicle(
+                time_ns, row, VehicleState(steering=steering, throttle=max(0.0, throttle), speed_mph=speed_mph)
+            )
+            writer.pose(time_ns, row, pose_message(course.pose, time_ns))
+            course.advance(steering, throttle, 1 / RATE_HZ)
+            if course.off_road:
+                course.intervene()
+                put_back += 1
+    return put_back
+
+
+def kinds_in(log: Path) -> dict[str, float]:
+    """The seconds of each kind of odd stretch; all are sure."""
+    odd = describe(log).odd or []
+    assert all(stretch.is_sure and stretch.is_learnt for stretch in odd)
+    return {
+        kind: sum(one.end_s - one.begin_s for one in odd if one.kind == kind) for kind in {one.kind for one in odd}
+    }
+
+
+@pytest.mark.parametrize("hold_s", [0.6, 1.2])
+def test_a_beginner_who_holds_left_and_right_in_turn_weaves_and_leaves_the_road(
+    tmp_path: Path, hold_s: float
+) -> None:
+    side, until_s, wheels = 1.0, 0.0, 0.0
+
+    def hold(course: Course, wanted: float) -> float:
+        nonlocal side, until_s, wheels
+        if course.time_s >= until_s:
+            side = -side if abs(wanted) < 0.8 else math.copysign(1.0, wanted)
+            until_s = course.time_s + hold_s
+        wheels = float(np.clip(max(wheels * side, 0.0) + 0.3, 0.0, 1.0)) * side  # as a held key moves them
+        return wheels
+
+    put_back = written(tmp_path / "a.mcap", 50, 10.0, hold)
+    kinds = kinds_in(tmp_path / "a.mcap")
+    assert kinds.keys() == ({"weaving", "leaving_the_road"} if put_back else {"weaving"})
+    assert sum(kinds.values()) > 40
+    assert kinds["weaving"] > 20
+    with Log(tmp_path / "a.mcap") as log:
+        states = states_of(log)
+    without_poses = odd_stretches(replace(states, beyond_m=None, heading_rad=None))
+    assert {(stretch.kind, stretch.is_sure) for stretch in without_poses} == {("weaving", False)}
+
+
+def test_a_wheel_off_the_road_for_long_is_named(tmp_path: Path) -> None:
+    def beside(course: Course, wanted: float) -> float:
+        if not 10 <= course.time_s < 30:
+            return wanted
+        return float(
+            np.clip(0.2 * (course.offset_m - course.half_width_m + 0.5) + 1.2 * course.heading_error_rad, -1, 1)
+        )
+
+    assert written(tmp_path / "a.mcap", 40, 10.0, beside) == 0
+    kinds = kinds_in(tmp_path / "a.mcap")
+    assert kinds.keys() == {"wheel_off_the_road"}
+    assert 10 < kinds["wheel_off_the_road"] < 22

@@ -25,14 +25,13 @@ from recorder.cli import main as record_main
 from recorder.log.road_places import last_place_m
 from recorder.log.tags import Tag, read_tags
 from recorder.rows.row_quality import usual_step
-from recorder.sources import person_rows
+from recorder.sources import record_person as person_rows
 from recorder.sources.eye_pictures import PictureScale
-from recorder.sources.frame_rate import check_row_rate, is_row_step
-from recorder.sources.person_pedals import CoursePedals
 from recorder.sources.record_person import record_person
-from recorder.sources.settings import PersonDrive
-from recorder.teleop.open_wheels import open_wheels
+from recorder.sources.settings import PersonDrive, check_row_rate, is_row_step
+from recorder.teleop.pedals import CoursePedals
 from recorder.teleop.seat import Control
+from recorder.teleop.wheel import open_wheels
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
 from simulator.driving.course import Course

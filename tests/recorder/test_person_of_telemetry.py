@@ -19,10 +19,10 @@ from recorder import Imported, Log, RecordingError
 from recorder.log.tags import read_tags
 from recorder.rows.row_quality import States, drive_numbers
 from recorder.server import telemetry_server
-from recorder.sources import person_of_telemetry
-from recorder.sources.person_of_telemetry import listen_at_the_wheel
-from recorder.sources.person_pedals import throttle_of_telemetry
+from recorder.sources.live_telemetry import listen_at_the_wheel
 from recorder.sources.settings import ListenSettings
+from recorder.teleop import cockpit
+from recorder.teleop.pedals import throttle_of_telemetry
 from recorder.teleop.seat import Control
 from recorder.upkeep.check import check
 from tests.helpers.driving import road_jpeg
@@ -217,7 +217,7 @@ def test_without_the_simulators_time_nobody_knows_its_pace(tmp_path: Path) -> No
 
 def test_a_simulators_pace_is_that_of_its_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 0.0
-    monkeypatch.setattr(person_of_telemetry, "time", SimpleNamespace(monotonic=lambda: now_s))
+    monkeypatch.setattr(cockpit, "time", SimpleNamespace(monotonic=lambda: now_s))
     with Drive(tmp_path / "a.mcap").running() as drive:
         for now_s in (1.0, 1.5, 2.0):
             drive.drive(0.0, 0.0, world={"time_s": 1000 + 0.25 * now_s})

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from recorder.sources.find_recording import recordings_in
-from recorder.sources.import_udacity import import_udacity
-from recorder.sources.recording_summary import summarize_recording
+from recorder.sources.recording_kinds import import_udacity, summarize_recording
 from tests.helpers import other_logs, tubs
 from tests.helpers.logs import write_log
 from tests.helpers.udacity import make_recording, paths

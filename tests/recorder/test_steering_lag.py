@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from recorder import Log
+from recorder.log.known_lag import measure_lag
 from recorder.log_cli import main as bc_log
-from recorder.pictures.decoding import decode_picture
+from recorder.pictures.picture_size import decode_picture
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import SteeringLag
-from recorder.seen.steering_lag import measure_lag
 from tests.helpers.panorama import RATE_HZ, Seconds, hand, views, write_drive
 from tests.helpers.udacity import call
 

@@ -17,12 +17,10 @@ from hypothesis import strategies as st
 from common import Skipped
 from recorder import RecordingError
 from recorder.sources.clean import clean, rows_to_write
-from recorder.sources.csv_lines import CsvTail
-from recorder.sources.imported_rows import SkippedEvents
-from recorder.sources.recorded_row import RecordedRow
+from recorder.sources.imported_rows import RecordedRow, SkippedEvents
 from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_csv import UTF16_MARKS
-from recorder.sources.udacity_recording import read_udacity
+from recorder.sources.udacity_recording import CsvTail, read_udacity
 from tests.helpers.growing_files import WAYS, begin_again
 from tests.helpers.udacity import paths, picture_name
 

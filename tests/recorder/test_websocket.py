@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from websocket import ABNF
 
-from recorder.server.websocket import BROKEN_FRAME, PARSED_BYTES, TOO_LARGE, HandshakeError, WebSocket
+from recorder.server.websocket import BROKEN_FRAME, RECEIVE_BYTES, TOO_LARGE, HandshakeError, WebSocket
 from tests.helpers.waiting import PATIENCE_S
 
 MAX_BYTES = 100_000
@@ -125,7 +125,7 @@ def test_who_sends_without_end_lets_others_in(opcode: int) -> None:
         near.shutdown(socket.SHUT_RDWR)
         sender.join()
         reader.join()
-    assert len(given_way) >= len(flood) // PARSED_BYTES
+    assert len(given_way) >= len(flood) // RECEIVE_BYTES
 
 
 def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
@@ -148,7 +148,7 @@ def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
         (b"\x81\x02hi", BROKEN_FRAME, 1002),  # not masked
         (b"\x83\x80\0\0\0\0", BROKEN_FRAME, 1002),  # no such kind
         (frame(TEXT, b"a", is_last=False) + frame(TEXT, b"b"), BROKEN_FRAME, 1002),
-        (in_frames(TEXT, b"x" * MAX_BYTES, 30_000), TOO_LARGE, 1009),
+        (in_frames(TEXT, b"x" * (MAX_BYTES + 1), 30_000), TOO_LARGE, 1009),
         # a terabyte that is only announced
         (b"\x82\xff" + struct.pack("!Q", 1 << 40), TOO_LARGE, 1009),
     ],

@@ -17,10 +17,8 @@ from websockets.sync.client import connect
 
 from common.users_cache import users_cache
 from recorder.teleop.frame_state import road_edges
-from recorder.teleop.messages import ControlMessage, parse_message
-from recorder.teleop.open_wheels import open_wheels
-from recorder.teleop.seat import ABSENT_S, GIVES_UP_S, Seat
-from recorder.teleop.wheel import MAX_IN_FLIGHT, Request, Wheel
+from recorder.teleop.seat import ABSENT_S, GIVES_UP_S, ControlMessage, Seat, parse_message
+from recorder.teleop.wheel import MAX_IN_FLIGHT, Request, Wheel, open_wheels
 from simulator.roads.track import load_track
 from tests.helpers.waiting import PATIENCE_S, wait_until
 from tests.helpers.wheel_page import WheelPage

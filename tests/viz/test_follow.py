@@ -34,8 +34,7 @@ from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz import save_growing, save_rrd
 from viz.cli import main
 from viz.live.follow import LogFeed
-from viz.live.live_log import GrowingLog, find_log
-from viz.live.live_messages import LiveMessage
+from viz.live.live_log import GrowingLog, LiveMessage, find_log
 from viz.viewer_process import viewer_program
 
 ROWS = 8

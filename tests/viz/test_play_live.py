@@ -29,7 +29,7 @@ from tests.helpers.rrd import arrived, contents, lives
 from tests.helpers.udacity import call
 from tests.helpers.waiting import PATIENCE_S, wait_until
 from viz.cli import main
-from viz.viewer_feed import ViewerFeed, feed_viewer
+from viz.viewer_connection import ViewerFeed, feed_viewer
 from viz.viewer_process import Ports, open_viewer, viewer_program, wait_until_it_listens
 
 ROWS = 30
@@ -129,7 +129,7 @@ def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
 def test_ctrl_c_waits_for_what_is_being_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else its progress bar would still stand where the last line is printed."""
-    monkeypatch.setattr("viz.viewer_feed.LAST_DATA_S", PATIENCE_S)
+    monkeypatch.setattr("viz.viewer_connection.LAST_DATA_S", PATIENCE_S)
     ended = []
 
     class Slow(ViewerFeed):

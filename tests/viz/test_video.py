@@ -19,9 +19,8 @@ from tests.helpers.driving import road_jpeg
 from tests.helpers.logs import START_NS
 from tests.helpers.udacity import call
 from viz.cli import main
-from viz.video import HELD_S, write_video
+from viz.video import HELD_S, Readings, write_video
 from viz.video_overlay import PREDICTED, RECORDED, WHEEL_DEG, WHEEL_RADIUS, WHEEL_X, WHEEL_Y
-from viz.video_readings import Readings
 
 Image = NDArray[np.uint8]
 WIDTH, HEIGHT = 320, 160  # of the simulator's pictures; in the video twice as large

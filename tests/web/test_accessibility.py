@@ -31,6 +31,7 @@ PAGES: Final = {
     "/sessions": "#s-faulty img",
     "/sessions?where=no_such_column": "#list :text('no_such_column')",
     "/sessions/faulty": "#session[data-ready]",
+    "/sessions/damaged": ".rescue",
     "/map?run=pixels": "#map[data-shown=pixels]",
     "/map?of=sessions/faulty&run=r&by=flag": "#map[data-shown=r]",
     "/index": "#list, main img",

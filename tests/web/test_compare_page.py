@@ -9,6 +9,7 @@ from urllib.parse import urlencode
 
 import numpy as np
 
+from tests.helpers.drives import a_drive
 from tests.helpers.driving import road_jpeg, untrained_run
 from tests.helpers.logs import write_log
 from tests.helpers.waiting import wait_until
@@ -43,7 +44,7 @@ def measured(**changed: object) -> dict[str, object]:
 def a_job(bench: Served, printed: str, code: int) -> Path:
     """A comparison of the runs a and b that has ended, as a bc-web of before has left it; its folder."""
     job = Jobs(bench.folder / "cache").folder / "20990101-000000-000000-0000"
-    job.mkdir(parents=True)
+    job.mkdir(parents=True, exist_ok=True)
     words = ["bc-eval", "compare", "a", "b", "--json", *(f"--{name}={bench.folder / name}" for name in NAMES)]
     (job / ABOUT).write_text(json.dumps({"words": words, "began": "2099-01-01T00:00:00+00:00", "made": ""}))
     (job / OUTPUT).write_text(printed)
@@ -61,7 +62,10 @@ def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
         assert "Not compared yet" in bench.get("/runs.compare?a=a&b=b").text
         a_job(bench, f"progress\n{json.dumps(measured())}\n", 1)
         text = plain(bench.get("/runs.compare?a=a&b=b").text)
-        assert "B is worse than A." in text
+        sentence = (
+            "b is worse than a: its RMSE is 1.00° higher (50%), between 0.50° higher and 1.50° higher, with 95%"
+        )
+        assert sentence in text
         assert "1,200 frames held out, in 40 blocks; errors in degrees" in text
         assert "RMSE 2.00 3.00 +1.00 +0.50 .. +1.50 worse" in text
         assert "correlation - 0.500 - - unknown" in text
@@ -70,6 +74,37 @@ def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
         assert "compare them again" in bench.get("/runs.compare?a=a&b=b").text
         assert bench.get("/runs.compare?a=a&b=a").status == 422
         assert bench.get("/runs.compare?a=a&b=none").status == 404
+
+
+def test_what_is_not_told_apart_says_how_much_more_data_would_settle_it(tmp_path: Path) -> None:
+    """The interval shrinks with the root of the data: here, it has to be half as wide."""
+    for name in "ab":
+        untrained_run(tmp_path / "runs" / name)
+    rmse = {"a": 2.0, "b": 2.1, "low": -0.1, "high": 0.3, "verdict": "not told apart"}
+    with served(tmp_path) as bench:
+        for more, units in (
+            ("about 10 min more of held-out driving", "blocks"),
+            ("120 more recordings", "sessions"),
+        ):
+            printed = {key: value for key, value in measured().items() if key != "blocks"} | {units: 40}
+            printed |= {"measures": {"rmse_deg": rmse}, "verdict": "not told apart"}
+            a_job(bench, json.dumps(printed), 0)
+            text = plain(bench.get("/runs.compare?a=a&b=b").text)
+            assert "b is not shown to be better or worse than a: its RMSE is 0.10° higher (5%), between" in text
+            assert "between 0.10° lower and 0.30° higher" in text
+            assert f"If they differ as much as here, {more} would settle it." in text
+
+
+def test_the_newest_drives_on_one_road_are_on_one_map(tmp_path: Path) -> None:
+    for name in "ab":
+        untrained_run(tmp_path / "runs" / name)
+        a_drive(tmp_path / "drives" / f"{name}.mcap", name, track="lake")
+    a_drive(tmp_path / "drives" / "elsewhere.mcap", "b", track="mountain")
+    with served(tmp_path) as bench:
+        wait_until(lambda: "Their newest test drives" in bench.get("/runs.compare?a=a&b=b").text)
+        text = bench.get("/runs.compare?a=a&b=b").text
+        assert text.count("<polyline") == 2
+        assert "elsewhere" not in text
 
 
 def test_frames_that_a_run_has_learnt_from_are_named(tmp_path: Path) -> None:

@@ -61,6 +61,21 @@ def test_a_folder_and_a_zip_are_dropped(browser: Browser, tmp_path: Path) -> Non
         assert not (tmp_path / "recordings" / "second").exists()
 
 
+def test_several_recordings_are_imported_at_once_and_marked_after_it(browser: Browser, tmp_path: Path) -> None:
+    make_recording(tmp_path / "mine" / "lake", CSV)
+    make_recording(tmp_path / "mine" / "hill", CSV)
+    (tmp_path / "third.zip").write_bytes(zipped({"driving_log.csv": CSV.encode()}))  # without pictures
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/import") as page:
+        page.wait_for_load_state()
+        drop(page, tmp_path / "mine" / "lake", tmp_path / "mine" / "hill", tmp_path / "third.zip")
+        page.click("text=Import all")
+        wait_until(lambda: {"lake", "hill"} <= {log.stem for log in (tmp_path / "sessions").glob("*.mcap")})
+        assert sorted(path.name for path in (tmp_path / "recordings").iterdir()) == ["lake-and-2-more"]
+        page.goto(f"{bench.address}/import/lake-and-2-more")
+        assert page.locator("text=Already here as").count() == 2
+        assert not page.locator("text=Import all").count()
+
+
 def test_a_folder_of_any_number_of_files_is_listed(browser: Browser, tmp_path: Path) -> None:
     """A function call takes only about a hundred thousand arguments."""
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/import") as page:

@@ -134,7 +134,7 @@ def test_an_open_page_shows_an_index_that_is_built_meanwhile(browser: Browser, t
         page.wait_for_selector("text=5 bins; the largest")
         wait_until(lambda: page.get_attribute("img.bins", "src") != before)  # another picture
         write_log(tmp_path / "sessions" / "b.mcap", [0.1] * 400, lambda camera, row: road_jpeg(row))
-        page.wait_for_selector("text=Newer than the index, or changed since: b.")
+        page.wait_for_selector("text=Newer than the training data, or changed since: b.")
         assert page.input_value("[name=bins]") == "21"
 
 
@@ -162,6 +162,25 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
     wait_until(lambda: "running" not in bench.get(done).text)
     assert samples.read_bytes() != before
     assert "5 bins" in plain(bench.get("/index").text)
+
+
+def test_a_training_takes_in_what_the_index_lacks(tmp_path: Path) -> None:
+    folders = "--sessions", tmp_path / "sessions", "--index", tmp_path / "index"
+    write_log(tmp_path / "sessions" / "a.mcap", [0.1] * 400, lambda camera, row: road_jpeg(row))
+    assert call(dataset.cli.main, *folders) == 0
+    with served(tmp_path) as bench:
+        write_log(tmp_path / "sessions" / "b.mcap", [0.2] * 400, lambda camera, row: road_jpeg(400 + row))
+        wait_until(lambda: "First, the training data takes in b." in bench.get("/jobs?start=train").text)
+        job = bench.post("/jobs", form="train", name="r", epochs="1", network="small").headers["location"]
+        assert re.search("bc-index --sessions=.* &amp;&amp; bc-train --name=r ", bench.get(job).text)
+        wait_until(lambda: "Newer than the training data" not in bench.get("/index").text)
+        wait_until(lambda: "1/1" in plain(bench.get("/runs").text))
+        assert call(dataset.cli.main, *folders, "--bins", 5, "a") == 0  # by a person, who chose
+        (tmp_path / "sessions" / "a.mcap").unlink()
+        write_log(tmp_path / "sessions" / "a.mcap", [0.3] * 400, lambda camera, row: road_jpeg(row))
+        wait_until(lambda: "does not have a." in plain(bench.get("/jobs?start=train").text))
+        job = bench.post("/jobs", form="train", name="s", epochs="1", network="small").headers["location"]
+        assert "bc-index" not in bench.get(job).text
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ PRIMARY: Final = {
     "/sessions": "Import a recording",
     "/import": "Choose a folder",
     "/import/lake": "Import",
-    "/index": "Prepare it",
+    "/index": "Train on it",
     "/runs": "Train a network",
     "/runs/r": "Let it drive, and take over",
     "/drives": "Let a network drive",

@@ -16,13 +16,13 @@ from tests.helpers.logs import write_log
 from tests.helpers.ports import free_ports
 from tests.helpers.workbench import Served, served_by
 from web.logs.open_logs import OpenLogs
-from web.server.memory import EVERY
+from web.server.workbench_server import EVERY
 
 ROWS = 3000
 THREADS = """
 import sys, threading
 import numpy as np, psutil
-from web.server.memory import give_memory_back, trim
+from web.server.workbench_server import give_memory_back, trim
 if sys.argv[1] == "bounded": give_memory_back()
 own = psutil.Process().memory_full_info
 all_hold_it = threading.Barrier(12)

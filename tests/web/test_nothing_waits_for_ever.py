@@ -8,7 +8,7 @@ from recorder import Log
 from tests.helpers.logs import write_log
 from tests.helpers.toy import STEERING, road
 from tests.helpers.waiting import wait_until
-from web.logs.picture_checks import PictureChecks
+from web.logs.session_stretches import PictureChecks
 from web.processes.kept_work import KeptWork
 
 

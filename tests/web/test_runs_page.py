@@ -15,8 +15,9 @@ from urllib.parse import parse_qsl, urlencode
 
 import pytest
 
+from common.locks import lock
 from model.config import TrainConfig
-from model.runs.run_files import keep_result
+from model.runs.run_files import TRAINING_LOCK, keep_result
 from recorder import Log
 from tests.helpers.driving import road_jpeg
 from tests.helpers.histories import epoch_line, write_lines
@@ -273,6 +274,24 @@ def test_worst_frames_are_a_gallery(tmp_path: Path) -> None:
         assert bench.get("/runs/r/worst/1/1.jpg").body == road_jpeg(3)
         assert bench.get("/runs/r/worst/1/2.jpg").status == 404
         assert "6.0°" not in bench.get("/runs/r?epoch=2").text
+
+
+def test_while_it_learns_its_page_shows_where_it_is_most_wrong(tmp_path: Path) -> None:
+    """And no page offers it as if it had learnt all."""
+    run = a_run(tmp_path / "runs", "r", 2.0)
+    crop = base64.b64encode(road_jpeg(3)).decode()
+    frames = [{**CROP, "predicted_deg": -5.0, "recorded_deg": 1.0, "error_deg": -6.0, "jpeg": crop}]
+    write_lines(run / "worst.jsonl", [{"epoch": 1, "frames": []}, {"epoch": 2, "frames": frames}])
+    (run / TRAINING_LOCK).parent.mkdir()
+    with served(tmp_path) as bench, (run / TRAINING_LOCK).open("ab") as stream:
+        lock(stream)
+        wait_until(lambda: "Where it is most wrong, after epoch 2" in plain(bench.get("/runs/r").text))
+        text = plain(bench.get("/runs/r").text)
+        assert "Here it would steer 5.0° to the left , and you steered 1.0° to the right" in text
+        assert "You can close this page" in text
+        assert "It is still learning: until then, it drives and is measured as it was after epoch 1." in text
+        assert "r (still learning)" in bench.get("/wheel?driver=run").text
+        assert "r is still learning" in bench.get("/jobs?start=drive&run=r").text
 
 
 def test_errors_and_bias_stand_beside_the_steering_that_was_recorded(tmp_path: Path) -> None:

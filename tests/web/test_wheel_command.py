@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from recorder import Log
-from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.wheel import open_wheels
 from recorder.upkeep.check import check
 from recorder.upkeep.recover import recover
 from tests.helpers.driving import Process, command, untrained_run

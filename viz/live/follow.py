@@ -17,10 +17,9 @@ from common.command import warn
 from common.files import final_path
 from recorder.mcap.mcap_file import WITHOUT_CRCS
 from viz.console import print_error, print_notice, print_skipped
-from viz.live.live_log import GrowingLog
-from viz.live.live_messages import LiveMessageSender
+from viz.live.live_log import GrowingLog, LiveMessageSender
 from viz.rrd_file import rrd_file
-from viz.viewer_feed import POLL_S, ViewerFeed, ViewerGoneError
+from viz.viewer_connection import POLL_S, ViewerFeed, ViewerGoneError
 
 BEHIND_S: Final = 2.0
 """If sending was delayed by more than this time, pictures older than this time are skipped."""

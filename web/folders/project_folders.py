@@ -15,7 +15,7 @@ from common.errors import printable
 from common.files import PART_SUFFIX
 from common.locks import is_being_written
 from model.runs.run_files import CONFIG
-from recorder.log.logs_in_folder import logs_in
+from recorder.log_flag import logs_in
 from web.errors import WebError, or_404
 from web.folders.file_versions import version_of, version_of_folder, version_of_growing
 

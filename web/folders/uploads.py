@@ -1,7 +1,8 @@
 """Recordings that a browser uploads to the project, each a folder in `recordings/`, whole or not at all.
 
 A body begins with a manifest in JSON: the paths and sizes of its files. The files follow, one after the other. A
-single zip is unpacked. Everything is untrusted: names are checked before a file is made.
+single zip is unpacked; several ones each to a folder of its name. Everything is untrusted: names are checked
+before a file is made.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import msgspec
 from common.errors import counted, printable
 from common.files import PART_SUFFIX, make_folder, part_path, remove_empty
 from common.untrusted import json_as
-from recorder.session_names import plain_name
+from recorder.new_session import plain_name
 from web.errors import WebError
 
 MAX_UPLOAD_BYTES: Final = 64 << 30  # sent, and again unpacked
@@ -58,7 +59,7 @@ class Upload:
         self._total_bytes = total_bytes - manifest_bytes
         self._files: list[tuple[Path | None, int]] | None = None  # to come; None: left out
         self._stream: IO[bytes] | None = None
-        self._zip: Path | None = None
+        self._zips: list[tuple[Path, Path]] = []  # and the folders for their files
 
     def __enter__(self) -> Upload:
         self._above = make_folder(self._parent)
@@ -97,9 +98,10 @@ class Upload:
         if self._files is None or self._files or self._left:
             raise WebError("the upload is incomplete: it was cut off", 422)
         self._close()
-        if self._zip is not None:
-            unpack(self._zip, self._part)
-            self._zip.unlink()
+        for archive, folder in self._zips:
+            folder.mkdir(exist_ok=True)
+            unpack(archive, folder)
+            archive.unlink()
         if not any(self._part.iterdir()):
             raise WebError("the upload has no file", 422)
         return self._named()
@@ -113,17 +115,20 @@ class Upload:
         if min(sizes) < 0 or sum(sizes) != self._total_bytes:
             raise WebError("the upload's files have other sizes than its manifest says", 422)
         places = [checked_name(name) for name, _ in manifest.files]
-        top = {place[0] for place in places if place}
+        top = list(dict.fromkeys(place[0] for place in places if place))
         has_top = len(top) == 1 and all(len(place) > 1 for place in places if place)
-        self._name = plain_name(next(iter(top))) if len(top) == 1 else self._name
+        if top:
+            self._name = plain_name(top[0]) + (f"-and-{len(top) - 1}-more" if len(top) > 1 else "")
         files = [place[has_top:] for place in places]
         self._files = [
             (self._part.joinpath(*parts) if parts else None, size)
             for parts, size in zip(reversed(files), reversed(sizes), strict=True)
         ]
-        if len(files) == 1 and files[0] and files[0][-1].lower().endswith(".zip"):
-            self._zip = self._part / _ZIP
-            self._files = [(self._zip, sizes[0])]
+        for number, parts in enumerate(files):
+            if len(parts) == 1 and parts[0].lower().endswith(".zip") and (len(files) == 1 or not has_top):
+                folder = self._part if len(files) == 1 else self._part / plain_name(parts[0])
+                self._zips.append((self._part / f"{number}{_ZIP}", folder))
+                self._files[-1 - number] = self._zips[-1][0], sizes[number]
         self._next_file()
 
     def _next_file(self) -> None:

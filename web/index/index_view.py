@@ -1,7 +1,11 @@
-"""The data of the index's page: settings, bins, each session's frames, and the split along time."""
+"""The data of the index's page: settings, bins, each session's frames, and the split along time;
+and the folders in which settings are tried."""
 
 from __future__ import annotations
 
+import contextlib
+import secrets
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,8 +17,10 @@ from numpy.typing import NDArray
 
 from common.errors import printable
 from common.stretches import stretches
+from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
+from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import FRAMES_FOLDER
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.samples_format import (
@@ -25,7 +31,40 @@ from dataset.samples.samples_format import (
     SessionCounts,
 )
 from dataset.steering_bins import BINS, bin_of
-from web.logs.steering_sketch import bars, root_heights, svg
+from web.errors import or_404
+from web.logs.film_strip import bars, root_heights, svg
+
+_KEPT: Final = 4
+
+
+class IndexTrials:
+    """The newest trials. The folder may be deleted at any time."""
+
+    def __init__(self, cache: Path) -> None:
+        self._folder = cache / "trials"
+
+    def new(self, index: Path) -> tuple[str, Path]:
+        """A name and a folder for a trial. The folder gets the index's checks of pictures, which take long."""
+        trials = sorted(self._trials().values(), key=lambda path: path.stat().st_mtime_ns)
+        for path in trials[: max(0, len(trials) + 1 - _KEPT)]:
+            shutil.rmtree(path, ignore_errors=True)
+        folder = self._folder / secrets.token_hex(6)
+        folder.mkdir(parents=True)
+        with contextlib.suppress(OSError, shutil.Error):
+            shutil.copytree(index / IMAGE_CHECKS_FOLDER, folder / IMAGE_CHECKS_FOLDER)
+        return folder.name, folder
+
+    def get(self, key: str) -> Path:
+        """The folder of a trial. Raises WebError if it does not exist (any more)."""
+        reason = f"no trial {key!r}: only the newest {_KEPT} are kept; try the settings again"
+        return real_path(or_404(self._trials().get(key), reason))
+
+    def _trials(self) -> dict[str, Path]:
+        try:
+            return {path.name: path for path in self._folder.iterdir() if path.is_dir()}
+        except OSError:
+            return {}
+
 
 _WIDTH: Final = 300
 _COLORS: Final = {"train": "#4a90d9", "validation": "#c77d1e"}  # readable on a light and on a dark page

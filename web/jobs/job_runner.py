@@ -27,11 +27,10 @@ _START: Final = "import sys; sys.path.append({root!r}); sys.argv[0] = {name!r}; 
 
 
 def main() -> None:
-    """Run the command of the job in the folder that the arguments name, and wait for it. The toolkit is in `root`,
+    """Run the commands of the job whose folder is the first argument, and wait for them. The toolkit is in `root`,
     installed or not."""
     folder, root = Path(sys.argv[1]), sys.argv[2]
-    name, *words = json.loads((folder / ABOUT).read_text(encoding="utf-8"))["words"]
-    start = _START.format(root=root, name=name, function=name.replace("-", "_"))
+    about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
     signal.signal(signal.SIGINT, _leave_to_the_command)
     with (folder / LOCK).open("ab") as locked, (folder / OUTPUT).open("ab") as output:
         lock(locked)
@@ -39,17 +38,28 @@ def main() -> None:
             parent.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
         inherited = () if sys.platform == "win32" else (locked.fileno(),)
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", start, *words],  # -P: a `model.py` in the current folder is not imported
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
-            env=environment,
-            pass_fds=inherited,
-            check=False,
-        )
+        code = 0
+        for name, *words in filter(None, (about["first"], about["words"])):
+            start = _START.format(root=root, name=name, function=name.replace("-", "_"))
+            code = subprocess.run(
+                [
+                    sys.executable,
+                    "-P",
+                    "-c",
+                    start,
+                    *words,
+                ],  # -P: a `model.py` of the current folder is not imported
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                env=environment,
+                pass_fds=inherited,
+                check=False,
+            ).returncode
+            if code not in (0, 3):  # 3: something was skipped
+                break
         part = folder / f"{EXIT}.part"
-        part.write_text(str(done.returncode), encoding="utf-8")
+        part.write_text(str(code), encoding="utf-8")
         part.replace(folder / EXIT)
 
 

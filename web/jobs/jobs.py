@@ -16,7 +16,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -40,6 +41,7 @@ _KEPT: Final = 50  # jobs that have ended
 _MAX_BYTES: Final = 64 << 10  # of the output, which a page shows: the last ones
 _RUNNER: Final = "import sys; sys.path.append(sys.argv[2]); from web.jobs.job_runner import main; main()"
 _STOPPED: Final = 130
+_POLL_S: Final = 0.3
 _STATES: Final = {
     0: "done",
     1: "failed",
@@ -57,6 +59,7 @@ class About(msgspec.Struct):
     made: str  # the page of its output; "" for none
     form: str = ""  # that started it
     values: dict[str, str] = {}  # of the form
+    first: list[str] = []  # a command that has to end well before
 
 
 @dataclass(frozen=True)
@@ -70,12 +73,15 @@ class Job:
 
     @property
     def command(self) -> str:
-        return printable(shlex.join(self.about.words))
+        commands = filter(None, (self.about.first, self.about.words))
+        return printable(" && ".join(map(shlex.join, commands)))
 
     @property
     def title(self) -> str:
         """Its form, and its run or its first words."""
         about = self.about
+        if self.is_export:
+            return printable(f"Export {Path(about.words[-1]).name}")
         form = next((form.title for form in FORMS if form.name == about.form), "")
         words = [word for word in about.words[1:] if not word.startswith("-")]
         return printable(f"{form or about.words[0]} {self.run if form else ' '.join(words[:2])}".strip())
@@ -98,6 +104,10 @@ class Job:
     def is_training(self) -> bool:
         """Whether it trains a run, which has a page as soon as it has begun."""
         return self.about.words[0] == "bc-train" and self.about.made.startswith("/runs/")
+
+    @property
+    def is_export(self) -> bool:
+        return self.about.made.startswith("/exports/")
 
     @property
     def is_stopped(self) -> bool:
@@ -180,9 +190,11 @@ class Jobs:
         values: Mapping[str, str] = MappingProxyType({}),
         *,
         records: bool = False,
+        first: Sequence[str] = (),
     ) -> Job:
-        """Start a command. `words` are its command line, which a form made of `values`. Raises WebError if it
-        `records` a log that a running job records, too: only one of the logs could get the name."""
+        """Start a command, after the command `first`. `words` are its command line, which a form made of `values`.
+        Raises WebError if it `records` a log that a running job records, too: only one of the logs could get the
+        name."""
         now = datetime.now(UTC)
         key = f"{now:%Y%m%d-%H%M%S-%f}-{secrets.token_hex(2)}"
         folder = self.folder / key
@@ -192,7 +204,7 @@ class Jobs:
             for ended in [job for job in self.all() if not job.is_running][_KEPT:]:
                 shutil.rmtree(ended.folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            about = About(list(words), now.isoformat(), made, form, dict(values))
+            about = About(list(words), now.isoformat(), made, form, dict(values), list(first))
             (folder / ABOUT).write_bytes(msgspec.json.encode(about))
             line = [sys.executable, "-P", "-c", _RUNNER, str(real_path(folder)), str(_ROOT)]
             # a new session: neither the terminal's Ctrl-C nor its end reaches the job
@@ -210,6 +222,18 @@ class Jobs:
         if not is_ready:
             raise WebError(f"{shlex.join(words)}: it did not start; the cache folder may be full", 500)
         return self.get(key)
+
+    def start_in_turn(self, starts: Sequence[Callable[[], Job]]) -> None:
+        """Start jobs one after the other, each when the one before has ended, as long as bc-web runs."""
+
+        def run() -> None:
+            for start in starts:
+                with contextlib.suppress(WebError):  # its name was taken meanwhile
+                    key = start().key
+                    while self.get(key).is_running:
+                        time.sleep(_POLL_S)
+
+        threading.Thread(target=run, name="jobs in turn", daemon=True).start()
 
     def stop(self, key: str) -> None:
         """Press Ctrl-C in a job, if it runs. The second time, it ends at once."""

@@ -17,8 +17,8 @@ from recorder import Log, topics
 from recorder.bc_pb2 import PilotCommand
 from recorder.errors import RecordingError
 from recorder.log.road_places import last_place_m
-from recorder.sources.frame_rate import check_row_rate
-from recorder.teleop.open_wheels import OpenWheel, open_wheels
+from recorder.sources.settings import check_row_rate
+from recorder.teleop.wheel import OpenWheel, open_wheels
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
 from web.jobs.job_forms import as_argument, form_of, in_one_field

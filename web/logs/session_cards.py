@@ -26,9 +26,9 @@ from dataset.parquet_file import read_metadata
 from recorder import Log
 from recorder.log.tags import Tag, TaggedRows, tags_by_content, tags_path
 from recorder.upkeep.log_info import LogInfo, describe
-from web.folders.background import Background
-from web.folders.cache_folder import CacheFolder
+from web.folders.cache_folder import Background, CacheFolder
 from web.folders.file_versions import Newest, version_of
+from web.folders.notes import Note, read_note
 from web.folders.project_folders import (
     PLACES,
     Place,
@@ -105,6 +105,10 @@ class SessionCard:
     @property
     def name(self) -> str:
         return shown_name(self.path)
+
+    @cached_property
+    def note(self) -> Note:
+        return read_note(self.path)
 
     @property
     def state(self) -> str:

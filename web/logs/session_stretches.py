@@ -1,7 +1,14 @@
-"""The odd stretches of a log, by its rows and its pictures; and the stretches of a filter."""
+"""The odd stretches of a log, by its rows and its pictures; the stretches of a filter, and the
+search of all logs for rows that meet a condition."""
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,19 +17,125 @@ from numpy.typing import NDArray
 
 from common.car import CAMERAS
 from common.errors import printable
+from common.files import session_name
+from common.location import absolute
 from common.stretches import stretches
+from dataset.config import IndexConfig
+from dataset.frames.distinct_rows import paired_rows
 from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags
-from dataset.frames.pairing import paired_rows
-from recorder import Log
+from dataset.frames.frames_file import check_where
+from dataset.frames.frames_table import frames_table
+from dataset.frames.image_check_cache import check_images, read_image_check, write_image_check
+from dataset.index.sessions import name_problem
+from recorder import Log, LogError
 from recorder.log.findings import findings
-from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows
+from recorder.log.tags import EXCLUDE, FINE, Tag, TaggedRows, read_tags, tags_path
 from recorder.rows.causes import CAUSES, NOT_LEARNT, PICTURE_FLAGS, PLAIN
-from recorder.rows.condition import lists_with
+from recorder.rows.condition import lists_with, rows_where
 from recorder.rows.odd_stretches import odd_stretches
 from recorder.rows.row_quality import States
 from recorder.topics import camera_topic
+from web.errors import WebError
+from web.folders.cache_folder import Background
+from web.folders.file_versions import version_of
+from web.folders.project_folders import ProjectFolders, version_of_log
 from web.logs.open_logs import OpenLog
-from web.logs.picture_checks import PictureChecks
+from web.processes.kept_work import KeptWork, report, run_in_process
+
+
+class PictureChecks:
+    """Checks by a log's fingerprint. One is made at a time, because it uses all processors."""
+
+    def __init__(self, index: Path, cache: Path) -> None:
+        self._index = index
+        self._kept = cache / "checks"
+        self.work = KeptWork(self._kept, "web.logs.session_stretches", "it was stopped")
+
+    def findings(self, log: Log) -> ImageFindings | None:
+        """The findings for a log's pictures; None if they were never checked. Findings of earlier versions lack
+        the comparison with the steering."""
+        indexed = read_image_check(self._index, session_name(log.path), log.fingerprint)
+        if indexed is not None and indexed.against is not None:
+            return indexed
+        return read_image_check(self._kept, log.fingerprint, log.fingerprint) or indexed
+
+    def are_checked(self, log: Log) -> bool:
+        """Whether there are findings with the comparison."""
+        findings = self.findings(log)
+        return findings is not None and findings.against is not None
+
+    def start(self, log: Log) -> None:
+        """Start a check, unless it is running."""
+        pictures = sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS)
+        self.work.start(log.fingerprint, pictures, [str(absolute(log.path)), log.fingerprint])
+
+
+def main() -> None:
+    run_in_process(_check)
+
+
+def _check(path: str, fingerprint: str, result: str) -> None:
+    pictures = 0
+
+    def on_decoded(count: int) -> None:
+        nonlocal pictures
+        pictures += count
+        report(pictures=pictures)
+
+    with Log(Path(path)) as log:
+        if log.fingerprint != fingerprint:
+            raise WebError("the log has been replaced since this page was opened: reload it")
+        findings = check_images(log, on_decoded)
+    write_image_check(Path(result).parent, fingerprint, fingerprint, findings)
+
+
+_MAX_SEARCHES: Final = 8  # kept
+
+
+class WhereSearches:
+    """The latest conditions, with their results so far."""
+
+    def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
+        self._folders = folders
+        self._pool = pool
+        self._lock = threading.Lock()
+        self._searches: OrderedDict[str, Background[int]] = OrderedDict()
+        self._done = 0  # by searches that were dropped
+
+    @property
+    def done(self) -> int:
+        with self._lock:
+            return self._done + sum(search.done for search in self._searches.values())
+
+    def rows(self, where: str, logs: Sequence[Path], patience_s: float | None) -> dict[Path, int]:
+        """The number of rows that meet the condition in each log that is searched within `patience_s`; 0 for an
+        unreadable log. Raises UsageError for an invalid condition."""
+        with self._lock:
+            search = self._searches.get(where)
+        if search is None:
+            check_where(where)
+            search = Background[int](self._pool, partial(self._count, where))
+            with self._lock:
+                self._searches[where] = search
+                while len(self._searches) > _MAX_SEARCHES:
+                    _, dropped = self._searches.popitem(last=False)
+                    self._done += dropped.done
+        versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
+        results = search.results(versions, patience_s)
+        return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
+
+    def _count(self, where: str, path: Path, version: str) -> int:
+        return len(self.numbers(where, path))
+
+    def numbers(self, where: str, path: Path) -> set[int]:
+        """The rows of a log that meet the condition. Raises UsageError for an invalid condition, and LogError
+        for an unreadable log, and for one whose name is not text."""
+        if problem := name_problem(path):
+            raise LogError(problem)
+        with Log(path) as log:
+            frames = frames_table(log, self._folders.index, IndexConfig(), read_tags(path, log.fingerprint))
+        return set(frames["row"].filter(pa.array(rows_where(frames, where))).to_pylist())
+
 
 SURE: Final = "sure"
 """Takes the place of a kind: all rows that are surely odd."""

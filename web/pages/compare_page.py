@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 from urllib.parse import urlencode
 
 from starlette.requests import Request
@@ -15,10 +16,15 @@ from common.errors import printable
 from common.files import session_name
 from web.errors import WebError
 from web.jobs.jobs import Job
+from web.logs.drive_view import DriveView, drive_map
+from web.logs.session_cards import SessionCard
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
-from web.runs.run_comparisons import compare_command, comparison_of, is_outdated
+from web.runs.run_charts import run_colours
+from web.runs.run_comparisons import compare_command, comparison_of, in_words, is_outdated
 from web.server.templates import page
+
+_PATIENCE_S: Final = 0.5
 
 
 def compare_routes(bench: Workbench) -> list[Route]:
@@ -46,6 +52,7 @@ def compare_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live, query = bench.jobs.version(), _query(request.query_params)
         runs = _runs(query["a"], query["b"])
+        names = [printable(run.name) for run in runs]
         command = _command(**query)
         job = _newest_job(command)
         comparison = comparison_of(job) if job else None
@@ -53,12 +60,14 @@ def compare_routes(bench: Workbench) -> list[Route]:
             "compare.html",
             **query,
             live=live,
-            names=[printable(run.name) for run in runs],
+            names=names,
             query=urlencode(query),
             sessions=bench.folders.finished("sessions"),
             command=printable(shlex.join(command)),
             job=job,
             comparison=comparison,
+            words=in_words(comparison, *names) if comparison else [],
+            **_last_drives(bench, runs),
             is_outdated=bool(job and comparison and is_outdated(job, runs)),
         )
 
@@ -69,6 +78,27 @@ def compare_routes(bench: Workbench) -> list[Route]:
         Route("/runs.compare", whole),
         Route("/runs.compare", on_form(start), methods=["POST"]),
     ]
+
+
+def _last_drives(bench: Workbench, runs: Sequence[Path]) -> dict[str, Any]:
+    """The newest test drives of two networks on one road, with their map; none without two of them."""
+    cards = [(card.info, card) for card in bench.cards.cards("drives", _PATIENCE_S) if card.info]
+    newest: dict[tuple[str, str], SessionCard] = {}
+    for info, card in sorted(cards, key=lambda pair: pair[0].start, reverse=True):
+        newest.setdefault((info.session.get("track", ""), info.session.get("run", "")), card)
+    names, roads = [run.name for run in runs], dict.fromkeys(road for road, _ in newest if road)
+    pairs = [[newest.get((road, name)) for name in names] for road in roads]
+    pair = [card for card in next((pair for pair in pairs if all(pair)), []) if card]
+    views = bench.drives.views([card.path for card in pair], _PATIENCE_S)
+    on_map = [{"card": card, "view": view} for card in pair if isinstance(view := views.get(card.path), DriveView)]
+    if len(on_map) < len(names):
+        return {"on_map": [], "map": None}
+    colours = [run_colours(names)[name] for name in names]
+    return {
+        "on_map": on_map,
+        "map": drive_map([drive["view"] for drive in on_map], colours, "drive"),
+        "colours": colours,
+    }
 
 
 def _query(values: Mapping[str, str]) -> dict[str, str]:

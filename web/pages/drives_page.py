@@ -13,8 +13,7 @@ from starlette.routing import Route
 from common import UserError
 from common.errors import printable
 from web.folders.project_folders import key_of
-from web.logs.drive_map import MAX_ERROR_DEG, WAYS, drive_map
-from web.logs.drive_view import DriveView
+from web.logs.drive_view import MAX_ERROR_DEG, WAYS, DriveView, drive_map
 from web.pages.workbench import Workbench
 from web.runs.run_charts import COLOURS, run_colours
 from web.server.templates import page

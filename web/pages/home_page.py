@@ -16,8 +16,7 @@ from dataset.samples.samples_format import SAMPLES_NAME
 from web.folders.project_folders import PLACES, Place
 from web.logs.session_cards import IndexState, SessionCard
 from web.pages.workbench import Workbench
-from web.runs.plain_verdict import badge_of
-from web.runs.run_cards import RunCard
+from web.runs.run_cards import RunCard, badge_of
 from web.server.templates import page
 
 _PATIENCE_S: Final = 0.5
@@ -85,8 +84,8 @@ def next_step(sessions: Sequence[SessionCard], runs: Sequence[RunCard], *, has_s
         return Suggestion("Take the wheel", "a network learns from what you drive", "/wheel")
     missing = [card for card in readable if card.index.state in (IndexState.MISSING, IndexState.CHANGED)]
     if has_samples and missing:
-        why = f"{counted(len(missing), 'recording')} not in the training data yet"
-        return Suggestion("Take in the new recordings", why, "/index", "index")
+        why = f"no network has learnt from {counted(len(missing), 'new recording')} yet"
+        return Suggestion("Train a network", why, "/runs", "train")
     if newest is None or newest.summary is None:
         why = f"from {counted(len(readable), 'recording')}; it takes a few minutes"
         return Suggestion("Train a network", why, "/runs", "train")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +16,20 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
-from common.files import publish
+from common.files import publish, session_name
 from common.interrupts import uninterrupted
 from common.untrusted import real_path, whole_number
+from recorder import Log, LogError
 from recorder.log.tags import tags_path
-from recorder.session_names import plain_name
+from recorder.new_session import plain_name
 from recorder.sources.find_recording import folders_in, recordings_in
 from recorder.sources.mcap_recording import is_own_log
-from recorder.sources.recording_summary import summarize_recording
+from recorder.sources.recording_kinds import RecordingSummary, summarize_recording
 from web.errors import WebError, or_404
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, remove_upload, uploads_in
 from web.jobs.job_forms import form_of
+from web.logs.session_cards import SessionCard
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.server.request_guard import UPLOAD
@@ -32,6 +38,21 @@ from web.server.templates import page
 _MAX_SHOWN = 50  # recordings in a folder
 _MAX_FOLDERS = 500
 _SUFFIXES = (".mcap", ".csv")  # of files that may be recordings
+_PATIENCE_S = 2.0  # for logs that are being read
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A recording that can be imported."""
+
+    recording: RecordingSummary
+    name: str  # that no session has
+    here: SessionCard | None  # that it seems to have become
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it needs no answer of the user."""
+        return not (self.recording.problem or self.recording.needs or self.here)
 
 
 def import_routes(bench: Workbench) -> list[Route]:
@@ -82,13 +103,28 @@ def import_routes(bench: Workbench) -> list[Route]:
         context = {"inner": inner[:_MAX_FOLDERS], "above": place.parent, "title": printable(str(place))}
         return page("import_recordings.html", **context, **_context(place, recordings))
 
-    def _context(place: Path, recordings: list[Path]) -> dict[str, Any]:
-        taken = {log.name.removesuffix(".mcap") for log in bench.folders.logs("sessions").values()}
-        shown = []
-        for recording in recordings[:_MAX_SHOWN]:
+    def _offers(place: Path, recordings: list[Path]) -> list[Offer]:
+        cards = bench.cards.cards("sessions", _PATIENCE_S)
+        taken = {card.name for card in cards}
+        contents = bench.cards.fingerprints("sessions", _PATIENCE_S)
+        imported = {card.info.session.get("recording"): card for card in cards if card.info}
+        copied = {contents.get(session_name(card.path)): card for card in cards}
+        offers = []
+        for recording in recordings:
             name = place.name if recording.is_dir() and len(recordings) == 1 else recording.name
-            shown.append((summarize_recording(recording), _free_name(plain_name(name), taken)))
+            summary, free = summarize_recording(recording), _free_name(plain_name(name), taken)
+            taken.add(free)
+            here = imported.get(_name_before(recording, folder))
+            if summary.is_own:
+                with contextlib.suppress(LogError), Log(recording) as log:
+                    here = copied.get(log.fingerprint)
+            offers.append(Offer(summary, free, here))
+        return offers
+
+    def _context(place: Path, recordings: list[Path]) -> dict[str, Any]:
+        shown = _offers(place, recordings[:_MAX_SHOWN])
         return {
+            "ready": sum(offer.is_ready for offer in shown),
             "name": place.name,
             "folder": place,
             "recordings": shown,
@@ -102,7 +138,30 @@ def import_routes(bench: Workbench) -> list[Route]:
         log = next((file for file in recordings_in(path) if str(file) == values.get("source")), None)
         if log is None or not is_own_log(log):
             raise WebError(f"{path}: no such log in it; reload its page", 404)
-        name, sessions = values.get("name", ""), bench.folders.sessions
+        taken = _take(log, values.get("name", ""))
+        if not recordings_in(path):
+            remove_upload(path)
+        return RedirectResponse(f"/sessions/{key_of(taken)}", status_code=303)
+
+    def take_all(request: Request) -> Response:
+        """Import each recording of an upload that asks nothing and is not here yet, one after the other."""
+        path, form = _upload(request), form_of("import")
+        starts = []
+        for offer in _offers(path, recordings_in(path)):
+            if offer.is_ready and offer.recording.is_own:
+                _take(offer.recording.path, offer.name)
+            elif offer.is_ready:
+                values = {"source": str(offer.recording.path), "name": offer.name}
+                words, page_of = form.words(values, bench.folders), form.page_of(values, bench.folders)
+                starts.append(partial(bench.jobs.start, words, page_of, form.name, values))
+        if starts:
+            bench.jobs.start_in_turn(starts)
+        if not recordings_in(path):
+            remove_upload(path)
+        return RedirectResponse("/jobs" if starts else "/sessions", status_code=303)
+
+    def _take(log: Path, name: str) -> Path:
+        sessions = bench.folders.sessions
         if not name or plain_name(name) != name:
             raise WebError(f"{printable(name)!r}: expected a plain name, such as {plain_name(name)}", 422)
         to = sessions / f"{name}.mcap"
@@ -113,9 +172,7 @@ def import_routes(bench: Workbench) -> list[Route]:
             publish(log, to, overwrite=False)
             if tags_path(log).is_file():
                 publish(tags_path(log), tags_path(to), overwrite=False)
-        if not recordings_in(path):
-            remove_upload(path)
-        return RedirectResponse(f"/sessions/{key_of(to)}", status_code=303)
+        return to
 
     def remove(request: Request) -> Response:
         remove_upload(_upload(request))
@@ -133,8 +190,16 @@ def import_routes(bench: Workbench) -> list[Route]:
         Route(UPLOAD, upload, methods=["POST"]),
         Route("/import/{name}", uploaded_recordings),
         Route("/import/{name}/take", on_form(take), methods=["POST"]),
+        Route("/import/{name}/all", take_all, methods=["POST"]),
         Route("/import/{name}/remove", remove, methods=["POST"]),
     ]
+
+
+def _name_before(recording: Path, uploads: Path) -> str:
+    """The name of a recording before a second upload of it got a number."""
+    first = re.sub(r"-\d+$", "", recording.name)
+    is_again = recording.parent == uploads and (uploads / first).exists()
+    return first if is_again else recording.name
 
 
 def _free_name(name: str, taken: set[str]) -> str:

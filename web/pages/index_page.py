@@ -5,24 +5,41 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlencode
 
+import cv2
+import msgspec
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from common import UserError
 from common.errors import counted, printable
-from common.untrusted import whole_number
+from common.steering_unit import assumed_deg, steering_unit
+from common.untrusted import real_path, whole_number
+from dataset import Samples
+from dataset.alterations import EpochAlterations
+from dataset.config import IndexConfig
 from dataset.index.leaks import find_leaks
 from dataset.index.sessions import logs_not_indexed
+from dataset.loader.crops import Crops
+from dataset.parquet_file import read_metadata
+from dataset.picture_spec import ORIGINAL
+from dataset.preprocessing import Image
 from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
+from dataset.samples.samples_reader import LOADED
+from model.config import TrainConfig
 from web.errors import WebError, or_404
+from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
 from web.folders.project_folders import key_of
-from web.index.altered_samples import AlteredSamples, altered_samples
 from web.index.index_view import (
     IndexView,
     bins_sketch,
@@ -37,6 +54,92 @@ from web.pages.request_values import Values, number_in, on_form
 from web.pages.workbench import Workbench
 from web.runs.run_configs import differing, index_checksum, origin_of
 from web.server.templates import page
+
+SHOWN: Final = 12
+_COLUMNS: Final = (*LOADED, "row", "camera", "recorded")
+
+
+class AlteredSample(msgspec.Struct, frozen=True):
+    """`pictures` are the crop as recorded and as trained on, as JPEGs; empty if a picture does not decode."""
+
+    session: str
+    row: int
+    camera: str
+    done: str  # "mirrored, blur, shadow"
+    recorded: str  # with its unit: "3.2°"
+    label: str
+    pictures: tuple[bytes, bytes]
+
+
+class AlteredSamples(msgspec.Struct, frozen=True):
+    """Some training samples of an index, evenly spread."""
+
+    total: int
+    shown: list[AlteredSample]
+
+
+def altered_samples(index: Path, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
+    """`SHOWN` training samples of an index of this version; another number `others` gives others. Raises UserError
+    if the index or its logs cannot be read."""
+    key = f"altered 5 {real_path(index)} {version} {others}"
+    return cache.struct(key, AlteredSamples, lambda: _read(index, others))
+
+
+def _read(index: Path, others: int) -> AlteredSamples:
+    with Samples(index) as samples:
+        table = samples.of_split("train", _COLUMNS)
+        # by the golden ratio, the numbers of each round lie between those of earlier rounds
+        places = (np.arange(SHOWN) / SHOWN + others * 0.6180339887 / SHOWN) % 1
+        chosen = np.unique((places * len(table)).astype(np.int64)) if len(table) else np.arange(0)
+        return AlteredSamples(len(table), _shown(samples, table.take(pa.array(chosen)), chosen))
+
+
+def _shown(samples: Samples, chosen: pa.Table, numbers: NDArray[np.int64]) -> list[AlteredSample]:
+    """The `chosen` samples, which have these numbers in an epoch."""
+    rows = samples.rows(chosen)
+    plain = dataclasses.replace(
+        rows, flip=np.zeros(len(rows), np.bool_), alterations=tuple("" for _ in rows.alterations)
+    )
+    recipe = TrainConfig()
+    epoch = EpochAlterations(recipe.epoch_alterations, recipe.seed, samples.settings.side_correction)
+    labels = epoch.labels(rows.label, 1, numbers)
+    as_recorded = _jpegs(Crops(plain, samples.logs, 0), len(rows))
+    as_learnt = _jpegs(
+        Crops(rows, samples.logs, 0), len(rows), lambda pictures, at: epoch.alter(1, pictures, numbers[at])
+    )
+    unit = steering_unit(samples.max_steering_deg)
+    full = unit.of(assumed_deg(samples.max_steering_deg))
+    return [
+        AlteredSample(
+            printable(sample["session"]),
+            sample["row"],
+            printable(sample["camera"]),
+            ", ".join(["mirrored"] * sample["flip"] + [name for name in sample["alteration"].split("+") if name]),
+            # of the unmirrored picture next to it
+            f"{sample['recorded'] * (-1 if sample['flip'] else 1) * full:.1f}{unit.sign}",
+            f"{label * full:.1f}{unit.sign}",
+            (before, after),
+        )
+        for sample, label, before, after in zip(
+            chosen.to_pylist(), labels.tolist(), as_recorded, as_learnt, strict=True
+        )
+    ]
+
+
+def _jpegs(
+    crops: Crops, count: int, altered: Callable[[Image, NDArray[np.int64]], object] | None = None
+) -> list[bytes]:
+    pictures: Image = np.empty((count, *ORIGINAL.shape), np.uint8)
+    failed = crops.fill(pictures, np.arange(count), altered)
+    return [_jpeg(picture) if number not in failed else b"" for number, picture in enumerate(pictures)]
+
+
+def _jpeg(picture: Any) -> bytes:
+    # each pixel keeps its own colour: mixed colours would run into each other
+    sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+    ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95, *sampling])
+    return encoded.tobytes() if ok else b""
+
 
 _PATIENCE_S: Final = 0.3
 
@@ -54,6 +157,7 @@ def index_routes(bench: Workbench) -> list[Route]:
         index = bench.folders.index
         now, problem = _view(index)
         then, trial_problem = _view(bench.trials.get(trial)) if trial else (None, "")
+        stale, is_usual = not_taken_in(bench)
         return page(
             "index.html",
             live=live,
@@ -69,21 +173,13 @@ def index_routes(bench: Workbench) -> list[Route]:
             is_damaged=bool(problem),
             problem=problem,
             trial_problem=trial_problem,
-            stale=_stale(),
+            stale=stale,
+            is_usual=is_usual,
             headings=COUNT_HEADINGS,
             settings=differing([now.settings, then.settings]) if now and then else [],
             sessions=_sessions(now, then),
             runs=_runs() if now else [],
         )
-
-    def _stale() -> list[str]:
-        """The sessions that are newer than the index, or whose logs or tags have changed."""
-        cards = bench.cards.cards("sessions", _PATIENCE_S)
-        names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
-        with contextlib.suppress(UserError):
-            logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
-            names |= set(map(printable, logs_not_indexed(bench.folders.index, logs)))
-        return sorted(names)
 
     def _runs() -> list[tuple[str, str]]:
         """The runs that were trained on the present index, and their pages."""
@@ -154,6 +250,29 @@ def index_routes(bench: Workbench) -> list[Route]:
         Route("/index/{session}/split", split),
         Route("/index/{session}/held-out", held_out),
     ]
+
+
+def not_taken_in(bench: Workbench) -> tuple[list[str], bool]:
+    """The sessions that are newer than the index, or have changed since; and whether the index has the settings of
+    `bc-index` without flags, so that this takes them in and changes nothing else."""
+    cards = bench.cards.cards("sessions", _PATIENCE_S)
+    names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
+    with contextlib.suppress(UserError):
+        logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
+        names |= set(map(printable, logs_not_indexed(bench.folders.index, logs)))
+    is_usual = not any(card.index.state is IndexState.PASSED_OVER for card in cards)
+    metadata = read_metadata(bench.folders.index / SAMPLES_NAME)
+    usual = json.loads(json.dumps(dataclasses.asdict(IndexConfig())))
+    return sorted(names), is_usual and metadata is not None and metadata.get("settings") == usual
+
+
+def taken_in_first(bench: Workbench, form: str, values: Mapping[str, str]) -> list[str]:
+    """The command that brings the index up to date before a training on it; none if nothing is missing, or if it
+    would change the index's settings. A missing index is built by the training itself."""
+    if form != "train" or values.get("on"):
+        return []
+    names, is_usual = not_taken_in(bench)
+    return form_of("index").words({}, bench.folders) if names and is_usual else []
 
 
 def _chosen(request: Request) -> tuple[str, int]:

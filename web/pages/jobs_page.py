@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from common.errors import printable
+from model.runs.run_files import is_being_trained
 from recorder.sources.imported_rows import AFTER_QUESTIONS
 from web.errors import WebError
 from web.jobs.job_forms import FORMS, form_of, suggested_sessions
+from web.pages.index_page import not_taken_in, taken_in_first
 from web.pages.request_values import Values, on_form
 from web.pages.workbench import Workbench
 from web.server.templates import command_answer, page, problem_answer
@@ -17,14 +21,17 @@ from web.server.templates import command_answer, page, problem_answer
 
 def job_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
-        live = bench.jobs.version()
-        names = {
+        live, runs = bench.jobs.version(), bench.folders.run_folders()
+        names: dict[str, Any] = {
             "sessions": suggested_sessions(bench.folders),
-            "runs": sorted(printable(path.name) for path in bench.folders.run_folders().values()),
+            "runs": sorted((printable(path.name), is_being_trained(path)) for path in runs.values()),
         }
+        taken_in, is_usual = not_taken_in(bench)
         values = dict(request.query_params)
         opened = values.pop("start", "")
+        is_learning = dict(names["runs"]).get(values.get("run", ""), False)
         context = {"names": names, "opened": opened, "values": values, "jobs": bench.jobs.all()}
+        context |= {"taken_in": taken_in, "is_usual": is_usual, "is_learning": is_learning}
         return page("jobs.html", live=live, forms=FORMS, **context)
 
     def now(request: Request) -> Response:
@@ -44,7 +51,8 @@ def job_routes(bench: Workbench) -> list[Route]:
         form = form_of(form_values.get("form", ""))
         values = form.named(form_values)
         words, made = form.words(values, bench.folders), form.page_of(values, bench.folders)
-        job = bench.jobs.start(words, made, form.name, values, records=form.makes_session)
+        first = taken_in_first(bench, form.name, values)
+        job = bench.jobs.start(words, made, form.name, values, records=form.makes_session, first=first)
         return RedirectResponse(f"/jobs/{job.key}", status_code=303)
 
     def whole_job(request: Request) -> Response:

@@ -48,7 +48,7 @@ def map_routes(bench: Workbench) -> list[Route]:
         key = bench.maps.key(logs, run)
         context = {"logs": [_log_data(bench, log) for log in logs]}
         if not logs:
-            problem = "no session is in the index; build it, or open the map of a session from its page"
+            problem = "there is no recording yet"
             return JSONResponse({**context, "key": key, "about": None, "problem": problem})
         start = partial(bench.maps.start, key, logs, run) if request.method == "POST" else None
         return JSONResponse(context | bench.maps.work.state(key, lambda: bench.maps.find(key), start))
@@ -109,14 +109,14 @@ def _log(bench: Workbench, address: str) -> MappedLog:
 
 
 def _indexed_logs(bench: Workbench) -> list[MappedLog]:
-    """The logs of the index, with the fingerprints that the index has."""
+    """The logs of the index, with the fingerprints that the index has; without an index, all finished logs."""
     built = read_state(bench.folders.index).logs
     logs = []
     for path in bench.folders.logs("sessions").values():
         entry = built.get(session_name(path))
         if entry is not None and entry.fingerprint and entry.sources[0] == str(real_path(path)):
             logs.append(MappedLog(f"/sessions/{key_of(path)}", path, entry.fingerprint))
-    return logs
+    return logs or [_log(bench, f"sessions/{key}") for key in bench.folders.finished("sessions")]
 
 
 def _log_data(bench: Workbench, log: MappedLog) -> dict[str, object]:

@@ -30,8 +30,7 @@ from web.jobs.job_forms import in_one_field
 from web.pages.request_values import number_in
 from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
-from web.runs.plain_verdict import badge_of
-from web.runs.run_cards import RunCard
+from web.runs.run_cards import RunCard, badge_of
 from web.runs.run_charts import bin_bars
 from web.runs.run_configs import index_checksum, origin_of, settings_of
 from web.server.templates import page
@@ -291,14 +290,15 @@ def _numbers_of(result: Mapping[str, Any], unit: SteeringUnit = DEGREES) -> list
 def _worst(
     bench: Workbench, pages: Mapping[str, str], path: Path, card: RunCard, requested: str
 ) -> dict[str, Any]:
-    """The worst frames after the kept epoch, or after the requested one."""
+    """The worst frames after the requested epoch; by default, the kept or the newest one."""
     try:
         history = bench.runs.history(path)
     except UserError as error:
         return {"worst": [], "epochs": [], "epoch": 0, "kept": 0, "bins": None, "problem": printable(str(error))}
     kept = card.summary.kept_epoch if card.summary else 0
     by_epoch = {worst.epoch: worst for worst in history.worst}
-    epoch = kept if (number := whole_number(requested)) is None else number
+    usual = max(by_epoch, default=0) if card.is_training else kept
+    epoch = usual if (number := whole_number(requested)) is None else number
     if epoch not in by_epoch and by_epoch:
         epoch = max(by_epoch)
     worst = by_epoch.get(epoch)

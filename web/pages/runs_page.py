@@ -103,4 +103,10 @@ def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:
 def _words(card: RunCard) -> list[str]:
     """The words by which a run is found."""
     run = card.summary
-    return [card.name, card.state, *([run.network, run.recipe, *run.sessions] if run else [])]
+    return [
+        card.name,
+        card.note.title,
+        card.note.note,
+        card.state,
+        *([run.network, run.recipe, *run.sessions] if run else []),
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -22,12 +23,14 @@ from recorder import Log, LogError
 from recorder.log.known_lag import lag_path
 from recorder.log.session_car import known_max_steering_deg
 from recorder.log.tags import EXCLUDE, names_used, tags_path
+from recorder.mcap.mcap_file import MAGIC
 from recorder.rows.condition import log_columns, rows_where
+from recorder.upkeep.recover import recovered_name
 from web.folders.file_versions import version_of
+from web.folders.notes import read_note
 from web.folders.project_folders import Place, is_recording, key_of, shown_name
 from web.jobs.log_jobs import LOG_JOBS, NewLogForm, command_line, log_job
-from web.logs.drive_course import COLUMNS, course_columns, is_driven, road_of
-from web.logs.drive_view import drive_events
+from web.logs.drive_view import COLUMNS, course_columns, drive_events, is_driven, road_of
 from web.logs.open_logs import OpenLog
 from web.logs.session_stretches import flag_stretches, not_learnt_stretches, shown_stretches
 from web.pages.request_values import Values, on_form
@@ -44,19 +47,24 @@ def session_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def whole(request: Request) -> Response:
         path = path_of(request)
-        info = bench.cards.info(path)
-        name = shown_name(path)
+        name, at = shown_name(path), f"/{place}/{request.path_params['log']}"
+        try:
+            info = bench.cards.info(path)
+        except LogError as error:  # damaged, or the first second of a recording
+            return page("damaged.html", name=name, place=place, at=at, rescue=_rescue(path, place, str(error)))
         return page(
             "session.html",
             name=name,
             place=place,
-            at=f"/{place}/{request.path_params['log']}",
+            at=at,
             info=info,
+            note=read_note(path),
+            rescue=_rescue(path, place, info.notice) if info.notice else None,
             cameras=CAMERAS,
-            can_train=place == "sessions" and path.suffix == ".mcap",
+            can_train=place == "sessions" and path.suffix == ".mcap" and not info.notice,
             is_driven=is_driven(topic.topic for topic in info.topics),
             path=printable(str(path)),
-            log_jobs=_shown_log_jobs(path),
+            log_jobs=_shown_log_jobs(path, is_finished=not info.notice),
             others=[item for item in bench.folders.finished(place).items() if item[1] != name],
             play_command=printable(shlex.join(["bc-play", str(path)])),
             runs=[(key, printable(run.name)) for key, run in bench.folders.run_folders().items()],
@@ -184,14 +192,39 @@ def _max_steering_deg(log: Log) -> float | None:
     return None
 
 
-def _shown_log_jobs(log: Path) -> list[dict[str, Any]]:
-    """The jobs that the page of a log offers, with the default names of new logs."""
+@dataclass(frozen=True)
+class Rescue:
+    """What a page says of an unfinished or damaged log that is no longer recorded."""
+
+    why: str
+    can: bool  # be recovered
+    saved: str  # the page of the recovered log; "" for none yet
+    saved_name: str
+
+
+def _rescue(path: Path, place: Place, notice: str) -> Rescue | None:
+    """None for a log that is being recorded."""
+    if is_recording(path):
+        return None
+    why = printable(notice).removeprefix(f"{printable(str(path))}: ").partition(";")[0]
+    made = recovered_name(path)
+    with path.open("rb") as file:
+        can = file.read(len(MAGIC)) == MAGIC
+    return Rescue(
+        f"{why[:1].upper()}{why[1:]}.", can, f"/{place}/{key_of(made)}" if made.is_file() else "", shown_name(made)
+    )
+
+
+def _shown_log_jobs(log: Path, *, is_finished: bool) -> list[dict[str, Any]]:
+    """The jobs that the page of a log offers, with the default names of new logs. An unfinished log is recovered
+    before anything else is made of it."""
     return [
         {
             "job": job,
             "new": shown_name(job.made(log)) if job.made and job.is_named else "",
         }
         for job in LOG_JOBS
+        if is_finished or job.name in ("check", "recover")
     ]
 
 

@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from recorder.log_list_cli import SORTED_BY
+from recorder.log_cli import SORTED_BY
 from recorder.rows.causes import CAUSES, PLAIN
 from web.errors import WebError
 from web.index.index_view import bins_of_index
@@ -213,4 +213,13 @@ def _has_kind(card: SessionCard, kind: str) -> bool:
 def _words(card: SessionCard) -> list[str]:
     """The words by which a session is found."""
     metadata = [card.info.start, *card.info.session.values()] if card.info else []
-    return [card.name, *card.tags, *card.flags, card.index.state, card.state, *metadata]
+    return [
+        card.name,
+        card.note.title,
+        card.note.note,
+        *card.tags,
+        *card.flags,
+        card.index.state,
+        card.state,
+        *metadata,
+    ]

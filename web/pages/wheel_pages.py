@@ -22,8 +22,9 @@ from websockets.frames import CloseCode
 
 from common.errors import printable
 from common.files import session_name
+from model.runs.run_files import is_being_trained
 from recorder.log.tags import EXCLUDE, Tag
-from recorder.teleop.open_wheels import open_wheels
+from recorder.teleop.wheel import open_wheels
 from recorder.topics import PERSON_METADATA
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, Place, ProjectFolders, key_of
@@ -43,8 +44,7 @@ from web.jobs.wheels import (
     takeovers,
     training,
 )
-from web.logs.drive_map import drive_map
-from web.logs.drive_view import BEFORE_S, DriveView, rows_before_put_back
+from web.logs.drive_view import BEFORE_S, DriveView, drive_map, rows_before_put_back
 from web.pages.request_values import Values, on_form
 from web.pages.tagging import TagChange, change_tags
 from web.pages.workbench import Workbench
@@ -62,7 +62,7 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         driver = request.query_params.get("driver", DEFAULTS["driver"])
         name = free_name(beginning_of(driver), bench.folders)
         values = {**DEFAULTS, "name": name, **request.query_params}
-        runs = [(key, printable(run.name)) for key, run in bench.folders.run_folders().items()]
+        runs = [(key, _named(run)) for key, run in bench.folders.run_folders().items()]
         wheels = open_wheels(Path.cwd())
         problem = ""
         try:
@@ -141,7 +141,7 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         drove = key_of(Path(metadata["run"])) if metadata.get("run") else ""
         name = session_name(ended.log)
         job = next((job for job in bench.jobs.all() if is_training_on(job, ended.log)), None)
-        learnt = [(key, printable(run.name)) for key, run in runs.items() if name in origin_of(run).sessions]
+        learnt = [(key, _named(run)) for key, run in runs.items() if name in origin_of(run).sessions]
         return page(
             "wheel_after.html",
             **context,
@@ -193,6 +193,11 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         Route("/wheel/{key}", drive),
         WebSocketRoute("/wheel/{key}/socket", forward),
     ]
+
+
+def _named(run: Path) -> str:
+    """A network in the name of a button or a choice."""
+    return printable(run.name) + " (still learning)" * is_being_trained(run)
 
 
 def _after(place: Place, key: str) -> str:

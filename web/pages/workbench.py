@@ -13,13 +13,13 @@ from dataset.index.build_state import STATE_NAME
 from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
 from web.folders.project_folders import ProjectFolders
-from web.index.index_trials import IndexTrials
+from web.index.index_view import IndexTrials
+from web.jobs.exports import Exports
 from web.jobs.jobs import Jobs
 from web.logs.drive_view import DriveViews
 from web.logs.open_logs import OpenLogs
-from web.logs.picture_checks import PictureChecks
 from web.logs.session_cards import SessionCards
-from web.logs.where_search import WhereSearches
+from web.logs.session_stretches import PictureChecks, WhereSearches
 from web.processes.picture_maps import PictureMaps
 from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers
@@ -43,6 +43,7 @@ class Workbench:
         self.checks = PictureChecks(folders.index, cache)
         self.runs = RunCards(folders)
         self.jobs = Jobs(cache)
+        self.exports = Exports(cache)
         self.trials = IndexTrials(cache)
         self.viewers = RerunViewers(self.cache)
         self.predictions = Predictions(cache)

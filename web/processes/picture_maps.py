@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 
 from common import UserError
 from common.errors import printable
-from dataset.loader.log_crops import LogCrops
+from dataset.loader.crops import LogCrops
 from dataset.picture_spec import PictureSpec
 from dataset.preprocessing import Image
+from recorder.log.road_places import states_of
 from recorder.rows.causes import CAUSES
 from recorder.rows.odd_stretches import odd_stretches
-from recorder.rows.row_quality import States
 from web.errors import WebError
-from web.processes.kept_work import KeptWork, run_fingerprint, write_result
+from web.processes.kept_work import KeptWork, counter, report, run_fingerprint, run_in_process, write_result
 from web.processes.neighbour_map import ROUNDS, Floats, groups, neighbour_map
-from web.processes.own_process import counter, report, run_in_process
 
 COLUMNS: Final = ("x", "y", "log", "row", "steering", "predicted", "nearest", "alone", "group", "odd")
 """Float32 columns of the pictures. `x`, `y`: its place. `log`: the number of its log. `predicted`: NaN without
@@ -180,7 +179,7 @@ def _parts(
     crops: LogCrops, fingerprint: str, step: int, reader: _FeatureReader
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """The features and the columns of every `step`-th picture of a log, in batches."""
-    odd, kinds = odd_stretches(States.of(crops.log.vehicle())), list(CAUSES)
+    odd, kinds = odd_stretches(states_of(crops.log)), list(CAUSES)
     if crops.log.fingerprint != fingerprint:
         name = crops.log.path.name
         raise WebError(f"{name}: the log has changed: reload this page, or bring the index up to date")

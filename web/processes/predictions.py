@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from common.errors import printable
 from web.errors import WebError
-from web.processes.kept_work import KeptWork, run_fingerprint, write_result
-from web.processes.own_process import counter, run_in_process
+from web.processes.kept_work import KeptWork, counter, run_fingerprint, run_in_process, write_result
 
 Values = NDArray[np.float64]
 

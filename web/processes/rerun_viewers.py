@@ -27,7 +27,7 @@ from common.errors import printable
 from common.versions import package_line, version_of
 from web.errors import WebError, or_404
 from web.folders.cache_folder import CacheFolder
-from web.processes.own_process import report, reports, run_in_process, start_process
+from web.processes.kept_work import report, reports, run_in_process, start_process
 
 MAX_OPEN: Final = 2
 """The logs that may be open at once. One more closes the oldest."""

@@ -9,15 +9,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from common.errors import counted
+from common.progress import duration_text
 from common.steering_unit import SteeringUnit, steering_unit
 from common.untrusted import json_as
-from model.evaluation.differences import MEASURES
+from model.evaluation.differences import BLOCK_S, FEWEST_BLOCKS, MEASURES
 from model.runs.run_files import WEIGHTS
 from web.folders.project_folders import ProjectFolders
 from web.jobs.job_forms import as_argument
 from web.jobs.jobs import Job
 
 _ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
+_MOST_S: Final = 24 * 3600.0  # nobody drives longer for a comparison
 
 
 def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
@@ -50,10 +53,11 @@ def comparison_of(job: Job) -> dict[str, Any] | None:
 
 def _comparison(printed: dict[str, Any]) -> dict[str, Any]:
     unit = steering_unit(printed.get("max_deg", 0.0))
-    blocks = "sessions" if "sessions" in printed else "blocks"
+    units = "sessions" if "sessions" in printed else "blocks"
     return {
         "frames": int(printed["frames"]),
-        "blocks": f"{int(printed[blocks]):,} {blocks}",
+        "units": units,
+        "unit_count": int(printed[units]),
         "unit": unit,
         "confidence": float(printed["confidence"]),
         "apart": unit.of(float(printed["answers_apart_deg"])),  # root mean square of A's and B's difference
@@ -78,5 +82,43 @@ def _measure(name: str, values: dict[str, Any], unit: SteeringUnit) -> dict[str,
         "reach": max((abs(end) for end in ends if math.isfinite(end)), default=0.0),
         "heading": measure.heading if measure else name.replace("_", " "),
         "digits": 3 if measure and measure.scale == 1.0 else 2,
+        "sign": unit.sign if name.endswith("_deg") else "",
         "verdict": str(values["verdict"]),
     }
+
+
+def in_words(comparison: dict[str, Any], a: str, b: str) -> list[str]:
+    """Which network is better, by how much and how surely; and what would settle it, if nothing is sure."""
+    measures, verdict = comparison["measures"], comparison["verdict"]
+    measure = next((measure for measure in measures if measure["verdict"] == verdict), None)
+    if measure is None or verdict == "unknown":
+        short_s = max(FEWEST_BLOCKS - comparison["unit_count"], 1) * BLOCK_S
+        return [f"There are too few frames to compare {a} and {b}: hold out {short_s:.0f} s more of driving."]
+    apart, low, high = measure["b"] - measure["a"], measure["low"], measure["high"]
+    if low == high == 0:
+        return [f"{a} and {b} steer alike on these frames."]
+
+    def more_or_less(value: float) -> str:
+        return f"{abs(value):.{measure['digits']}f}{measure['sign']} {'higher' if value > 0 else 'lower'}"
+
+    share = f" ({abs(apart / measure['a']):.0%})" if measure["a"] else ""
+    is_what = f"{verdict} than" if verdict in ("better", "worse") else "not shown to be better or worse than"
+    near, far = sorted((low, high), key=abs)
+    by = f"its {measure['heading']} is {more_or_less(apart)}{share}"
+    sure = f"between {more_or_less(near)} and {more_or_less(far)}, with {comparison['confidence']:.0%} confidence"
+    words = [f"{b} is {is_what} {a}: {by}, {sure}."]
+    return words if verdict in ("better", "worse") else [*words, _would_settle(comparison, apart, high - low)]
+
+
+def _would_settle(comparison: dict[str, Any], apart: float, width: float) -> str:
+    """How much more data would separate an interval of this width from 0. It shrinks with the root of the data."""
+    times = (width / 2 / apart) ** 2 if apart else math.inf
+    count = comparison["unit_count"]
+    more_s = (times - 1) * count * BLOCK_S
+    if comparison["units"] == "sessions" and times < 100:
+        more = counted(max(1, math.ceil((times - 1) * count)), "more recording")
+    elif comparison["units"] == "blocks" and more_s <= _MOST_S:
+        more = f"about {duration_text(max(60.0, more_s))} more of held-out driving"
+    else:
+        return "The difference is too small to be settled by a day of driving."
+    return f"If they differ as much as here, {more} would settle it."

@@ -14,6 +14,7 @@ from starlette.responses import HTMLResponse
 
 from common.errors import counted, decimal, printable
 from common.versions import version_of
+from web.jobs.exports import LOG_EXPORTS, RUN_EXPORTS
 from web.server.static_files import STATIC
 
 PAGES: Final = (
@@ -23,6 +24,7 @@ PAGES: Final = (
     ("Test drives", "/drives"),
 )
 """The menu: names and addresses."""
+_SHORT: Final = 34  # characters
 
 
 def _minutes(seconds: float) -> str:
@@ -53,6 +55,13 @@ def _when(utc: str) -> Markup:
     return Markup('<time datetime="{}Z">{} UTC</time>').format(minute, minute.replace("T", " "))
 
 
+def short(name: str) -> Markup:
+    """A name for a list: a long one is cut in the middle, and whole when the mouse points at it."""
+    if len(name) <= _SHORT:
+        return escape(name)
+    return Markup('<span title="{}">{}…{}</span>').format(name, name[: _SHORT // 2], name[-_SHORT // 2 + 1 :])
+
+
 def with_code(text: str) -> Markup:
     """A text, escaped, in which the parts between backticks are code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
@@ -72,7 +81,10 @@ _environment = Environment(
     loader=PackageLoader("web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _environment.globals.update(menu=PAGES, static=STATIC, version=version_of())
-_environment.filters.update(minutes=_minutes, counted=counted, places=_places, with_code=with_code, when=_when)
+_environment.globals.update(log_exports=LOG_EXPORTS, run_exports=RUN_EXPORTS)
+_environment.filters.update(
+    minutes=_minutes, counted=counted, places=_places, with_code=with_code, when=_when, short=short
+)
 
 
 def page(template: str, /, **values: Any) -> HTMLResponse:

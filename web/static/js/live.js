@@ -72,6 +72,13 @@ commandsShown?.addEventListener("click", () => {
   showCommands(areShown);
 });
 
+// a menu folds when something else is clicked, or by escape
+function foldMenus(within) {
+  for (const menu of document.querySelectorAll(".menu[open]")) if (!menu.contains(within)) menu.open = false;
+}
+document.addEventListener("click", (event) => foldMenus(event.target));
+document.addEventListener("keydown", (event) => event.key === "Escape" && foldMenus(null));
+
 // the address has the values of a form, so that a user can keep and send it
 function nameInAddress(form) {
   if (new URL(form.action).pathname !== location.pathname) return; // it leads to another page

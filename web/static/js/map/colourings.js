@@ -1,7 +1,6 @@
 // The colourings of a map. Each puts every point into one of a few buckets, which the legend lists.
 
-import { colourReader } from "../dom.js";
-import { angle } from "../session/clock.js";
+import { angle, colourReader } from "../dom.js";
 import { EXCLUDE, FINE } from "../tag_changes.js";
 
 const SERIES = [0, 1, 2, 3, 4, 5, 6].map((number) => `--series-${number}`);

@@ -1,9 +1,8 @@
 // The page of a map: the picture under the mouse, the chosen pictures, and their tags.
 
-import { button, by, listen, make, number, showProblem } from "../dom.js";
+import { angle, button, by, clock, listen, make, number, showProblem } from "../dom.js";
 import { showStatus } from "../live.js";
 import { PointCloud } from "../point_cloud.js";
-import { angle, clock } from "../session/clock.js";
 import { EXCLUDE, FINE, TagChanges } from "../tag_changes.js";
 import { colouringsOf, paletteOf } from "./colourings.js";
 import { PictureMap } from "./map_data.js";

@@ -1,9 +1,9 @@
 // The map next to the curves: the road, the path by driver, interventions, start, direction and scale. The mouse points
 // at a moment, as over the curves, and shows its picture.
 
+import { clock } from "../dom.js";
 import { RoadMap } from "../road_map.js";
 import { DRIVERS } from "./course.js";
-import { clock } from "./clock.js";
 
 const MAX_POINTS = 3000;
 const ARROWS = 8; // along the path

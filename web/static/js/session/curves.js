@@ -2,9 +2,8 @@
 // seconds, so that long pauses take no room. Its labels are times.
 
 import uPlot from "../../vendor/uPlot.esm.js";
-import { colourReader, make } from "../dom.js";
+import { angle, clock, colourReader, make } from "../dom.js";
 import { drawBands } from "./bands.js";
-import { angle, clock } from "./clock.js";
 
 const MIN_WINDOW = 800; // pixels
 const MIN_ROWS = 10; // in view

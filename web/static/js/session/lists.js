@@ -1,7 +1,6 @@
 // The lists below the curves: odd stretches, tags, events, worst moments.
 
-import { button, make, number } from "../dom.js";
-import { clock } from "./clock.js";
+import { button, clock, make, number } from "../dom.js";
 import { words } from "./odd.js";
 
 const MAX_ITEMS = 200; // of a list; the curves show all

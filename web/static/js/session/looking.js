@@ -1,7 +1,7 @@
 // The selected stretches as a grid of pictures, in place of the cameras.
 
+import { clock } from "../dom.js";
 import { fillGrid, spread } from "../grid.js";
-import { clock } from "./clock.js";
 import { at } from "./selection.js";
 import { words } from "./odd.js";
 

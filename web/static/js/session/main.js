@@ -1,13 +1,11 @@
 // The page of a session: the actions of its mouse and keys.
 
-import { by, listen, make, number, showProblem, toggleHelp } from "../dom.js";
+import { angle, by, clock, listen, make, number, showProblem, toggleHelp } from "../dom.js";
 import { showStatus } from "../live.js";
 import { changeTags, EXCLUDE, TagChanges } from "../tag_changes.js";
-import { angle, clock } from "./clock.js";
-import { Course } from "./course.js";
+import { Course, DriverBand } from "./course.js";
 import { CourseMap } from "./course_map.js";
 import { Curves } from "./curves.js";
-import { DriverBand } from "./drivers.js";
 import { Filter } from "./filter.js";
 import { listEvents, listOdd, listTags } from "./lists.js";
 import { ask, awaited, LogData } from "./log_data.js";
@@ -32,7 +30,7 @@ const curves = new Curves(by("curves"), data, {
 });
 const filter = new Filter(data, { onChange: showFiltered, showStatus });
 const selected = new Selected(page, data, curves, filter, { onPick: goToPosition });
-new Overview(by("overview"), data, curves);
+const overview = new Overview(by("overview"), data, curves, { onMove: scrub });
 const player = new Player(data, { onMove: move, onChange: () => by("play").setAttribute("aria-pressed", player.isPlaying) });
 const changes = new TagChanges({ change: changeRows, tag, describe });
 const rerun = new RerunFrame(by("rerun"), data, { onChange: showRerun, onProblem: showStatus });
@@ -53,6 +51,7 @@ function move(position) {
   if (!data.length) return;
   curves.point(position);
   const at = curves.position;
+  overview.point(at);
   for (const shown of [pictures, runs.attention]) shown.show(at);
   rerun.moveTo(at);
   map?.move(at);
@@ -200,6 +199,7 @@ function showTags() {
 }
 
 function showRows() {
+  page.classList.toggle("unfinished", Boolean(data.state.problem));
   changes.restore(`${data.address} ${data.state.fingerprint}`);
   filter.refresh();
   pictures.useCameras();
@@ -238,9 +238,9 @@ function setSpeed(speed) {
   player.speed = by("speed").value = speed;
 }
 
-function stepBy(rows) {
+function scrub(position) {
   player.pause();
-  move(curves.position + rows);
+  move(position);
   curves.follow(curves.position);
 }
 
@@ -255,7 +255,7 @@ function followAddress() {
 data.addEventListener("rows", showRows);
 data.addEventListener("tags", showTags);
 data.addEventListener("lag", () => by("about").dispatchEvent(new Event("lag-changed")));
-data.addEventListener("problem", (event) => showProblem(event.detail));
+data.addEventListener("problem", ({ detail }) => showProblem(page.querySelector(".rescue") && detail === data.state?.problem ? "" : detail));
 by("speed").addEventListener("change", () => setSpeed(Number(by("speed").value)));
 by("name").addEventListener("focus", () => offerNames().catch(() => {})); // names can be typed without it
 const clicks = {
@@ -266,10 +266,10 @@ for (const [id, call] of Object.entries(clicks)) by(id).addEventListener("click"
 const steps = (event) => (event.shiftKey ? 10 : 1);
 listen({
   ...changes.keys,
-  ArrowLeft: (event) => stepBy(-steps(event)),
-  ArrowRight: (event) => stepBy(steps(event)),
-  Home: () => stepBy(-Infinity),
-  End: () => stepBy(Infinity),
+  ArrowLeft: (event) => scrub(curves.position - steps(event)),
+  ArrowRight: (event) => scrub(curves.position + steps(event)),
+  Home: () => scrub(-Infinity),
+  End: () => scrub(Infinity),
   " ": clicks.play,
   ...Object.fromEntries([1, 2, 4, 8].map((speed, at) => [at + 1, () => setSpeed(speed)])),
   j: clicks.next,

@@ -1,50 +1,29 @@
-// The whole log in a strip above the curves: steering, bands, and the part that the curves show. Drag this part, or
-// drag over the strip to show another part.
+// The whole log in a strip that stays in view: steering, bands, the present moment, and the part that the curves show.
+// Click or drag to go to a moment.
 
-import { drawAll, drawTracks, fittedContext } from "./bands.js";
+import { drawAll, drawTracks } from "./bands.js";
 
 const LANE = 4;
 
 export class Overview {
-  constructor(canvas, data, curves) {
-    Object.assign(this, { canvas, data, curves, dragged: null });
+  /** `onMove(position)`: the strip was dragged to that moment. */
+  constructor(element, data, curves, { onMove }) {
+    const [canvas, marker] = element.children;
+    Object.assign(this, { canvas, marker, data, curves });
     curves.watch(() => this.draw());
-    canvas.addEventListener("pointerdown", (event) => this.begin(event));
-    canvas.addEventListener("pointermove", (event) => this.drag(event));
-    canvas.addEventListener("pointerup", (event) => this.end(event));
+    const move = ({ clientX, buttons }) => {
+      const { left, width } = element.getBoundingClientRect();
+      if (buttons && data.length) onMove(Math.round(Math.min(Math.max((clientX - left) / width, 0), 1) * (data.length - 1)));
+    };
+    element.addEventListener("pointerdown", (event) => {
+      element.setPointerCapture(event.pointerId);
+      move(event);
+    });
+    element.addEventListener("pointermove", move);
   }
 
-  begin(event) {
-    if (!this.data.length) return;
-    this.canvas.setPointerCapture(event.pointerId);
-    const at = this.position(event);
-    const { view } = this.curves;
-    this.dragged = { at, view: view && at >= view.min && at <= view.max ? view : null, isMoved: false };
-  }
-
-  drag(event) {
-    if (!this.dragged) return;
-    const at = this.position(event);
-    const { view, at: begun } = this.dragged;
-    this.dragged.isMoved ||= Math.abs(at - begun) * this.canvas.clientWidth > 4 * this.data.length;
-    if (!this.dragged.isMoved) return;
-    if (view) this.curves.show(view.min + at - begun, view.max + at - begun);
-    else this.curves.show(Math.min(at, begun), Math.max(at, begun));
-  }
-
-  /** A click shows this place. The zoom stays. */
-  end(event) {
-    if (this.dragged && !this.dragged.isMoved) {
-      const { min, max } = this.curves.view ?? { min: 0, max: this.data.length / 10 };
-      const at = this.position(event);
-      this.curves.show(at - (max - min) / 2, at + (max - min) / 2);
-    }
-    this.dragged = null;
-  }
-
-  position({ clientX }) {
-    const { left, width } = this.canvas.getBoundingClientRect();
-    return Math.min(Math.max((clientX - left) / width, 0), 1) * (this.data.length - 1);
+  point(position) {
+    this.marker.style.left = `${(position / Math.max(this.data.length - 1, 1)) * 100}%`;
   }
 
   draw() {
@@ -53,7 +32,9 @@ export class Overview {
     canvas.hidden = !plot;
     if (!plot) return;
     const scale = devicePixelRatio;
-    const context = fittedContext(canvas, plot);
+    canvas.width = canvas.clientWidth * scale;
+    canvas.height = canvas.clientHeight * scale;
+    const context = canvas.getContext("2d");
     const across = (at) => (at / Math.max(data.length - 1, 1)) * canvas.width;
     const box = { top: 0, height: canvas.height, min: 0, max: data.length - 1, across };
     drawTracks(context, data, curves.odd, curves.colors, box, LANE * scale);

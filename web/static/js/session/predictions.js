@@ -1,6 +1,6 @@
 // The predictions of the chosen run's network: progress, then a column of the data and a list of worst moments.
 
-import { clock } from "./clock.js";
+import { clock } from "../dom.js";
 import { ask, awaited } from "./log_data.js";
 
 export class Predictions {

@@ -31,6 +31,7 @@ export class Selected {
 
   /** Fill the form for a trimmed log. Without a selection, entered rows stay. */
   fillTrim(selection) {
+    if (!by("make-trim")) return; // not of an unfinished log
     const { first, last } = by("make-trim").elements;
     if (!selection.length && `${first.value} ${last.value}` !== this.filled) return;
     const stretch = selection.length ? { first: selection[0].first, last: selection.at(-1).last } : { first: 0, last: this.data.length - 1 };
