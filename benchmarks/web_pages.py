@@ -5,9 +5,10 @@ python benchmarks/web_pages.py [--sessions 1000] [--minutes 60] [--seconds 20] [
 The mouse moves 30 times a second along the curves of a session of an hour with three cameras. The benchmark
 measures the time from each move until every camera shows its picture, or that of a later move. The page for
 comparison shows the same bytes, as files, in three <img>. Then ten clients request only pictures. An hour of use
-is the number of pictures that an hour of scrubbing requests, as fast as they come. On a busy machine, only
-processor times and the ratios of measurements in turns are meaningful; the load is printed. Needs Playwright,
-Chromium, and 1.2 GB in the folder for temporary files.
+is the number of pictures that an hour of scrubbing requests, as fast as they come. At the end, each page is opened
+once, and its largest paint and its JavaScript are printed. On a busy machine, only processor times and the ratios
+of measurements in turns are meaningful; the load is printed. Needs Playwright, Chromium, and 1.2 GB in the folder
+for temporary files.
 """
 
 from __future__ import annotations
@@ -54,6 +55,23 @@ WATCH: Final = """([selector, rows, pattern]) => {
     while (moves.length && moves[0][1] <= row + tolerance) waits.push(performance.now() - moves.shift()[0]);
   }).observe(document.body, {subtree: true, attributes: true, attributeFilter: ['data-shown']});
 }"""
+PAGES: Final = (
+    "/",
+    "/wheel",
+    "/sessions",
+    "/sessions/hour",
+    "/map?of=sessions/hour",
+    "/index",
+    "/runs",
+    "/drives",
+    "/jobs",
+)
+WEIGH: Final = """() => new Promise(done => new PerformanceObserver(list => {
+  const isOwn = ({name}) => name.endsWith('.js') && !name.includes('/vendor/');
+  const own = performance.getEntriesByType('resource').filter(isOwn);
+  const sum = size => own.reduce((total, entry) => total + entry[size], 0);
+  done([list.getEntries().at(-1).startTime, sum('decodedBodySize'), sum('encodedBodySize')]);
+}).observe({type: 'largest-contentful-paint', buffered: true}))"""
 STATIC_PAGE: Final = """<!doctype html><body style="margin:0">
 <div id="over" style="height:300px;background:#ddd"></div><img><img><img><script>
 const images = [...document.images], wanted = [], busy = [];
@@ -164,6 +182,18 @@ def first_views(browser: Browser, folder: Path, sessions: int) -> None:
             if name == "a later start":
                 print(f"scrolling through them: from frame to frame {percentiles(scroll(page))}")
             page.close()
+
+
+def weigh(browser: Browser, address: str) -> None:
+    """The largest contentful paint of each page, and the JavaScript of our own that it loads."""
+    for path in PAGES:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(f"{address}{path}", wait_until="networkidle")
+        largest_ms, *script_bytes = page.evaluate(WEIGH)
+        kilobytes = " kB of JavaScript, ".join(f"{size / 1e3:.0f}" for size in script_bytes)
+        print(f"{path}: painted after {largest_ms:.0f} ms; {kilobytes} kB sent")
+        page.close()
+    print(load())
 
 
 def scroll(page: Page) -> list[float]:
@@ -287,6 +317,7 @@ def main() -> None:
                 print(f"{CLIENTS} clients at once: a picture in {percentiles(waits)}; {load()}")
                 memory_mb.append(server.memory_info().rss / 1e6)
                 if turn:
+                    weigh(browser, f"http://127.0.0.1:{PORT}")
                     hours_of_use(server, rows, asked.hours_of_use)
                 shown_mb = ", ".join(f"{size_mb:.0f} MB" for size_mb in memory_mb)
                 print(f"memory when opened, after scrubbing, after the clients: {shown_mb}")

@@ -7,18 +7,17 @@ in `common.car.Camera`.
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from common.car import CAMERAS, Camera
 
-if TYPE_CHECKING:  # training reads logs where protobuf is not installed
+if TYPE_CHECKING:  # training reads logs where protobuf is not installed; commands begin without NumPy
+    import numpy as np
     from google.protobuf.message import Message
-from typing import get_args
-
-import numpy as np
-from numpy.typing import NDArray
+    from numpy.typing import NDArray
 
 PROFILE: Final = "bc"
 LIBRARY: Final = "behavioural-cloning-toolkit"  # of an MCAP file's header, before the version
@@ -191,4 +190,4 @@ def most_used(rows: Mapping[int, int]) -> RowDevice:
 
 def most_used_of(numbers: NDArray[np.int8]) -> RowDevice:
     """The device of most rows, from the device number of each row (N,); empty if no device is known."""
-    return most_used(dict(enumerate(np.bincount(numbers, minlength=len(DEVICES)).tolist())))
+    return most_used(dict(sorted(Counter(numbers.tolist()).items())))

@@ -162,9 +162,10 @@ def wheel_off_the_road(drive: Drive) -> None:
         course.displace(course.half_width_m - 0.4, 0.0, 0.0)
 
 
+ON_PLACES: Final = (off_road, leaving_the_road, weaving, wheel_off_the_road)
 FAULTS: Final[dict[str, Callable[[Drive], None]]] = {
-    fault.__name__: fault for fault in (backwards, crash, parked, coasting, creeping, stuck_steering, off_road)
-} | {fault.__name__: fault for fault in (leaving_the_road, weaving, wheel_off_the_road)}
+    fault.__name__: fault for fault in (backwards, crash, parked, coasting, creeping, stuck_steering, *ON_PLACES)
+}
 
 
 def states_of(rows: Sequence[tuple[float, ...]]) -> States:

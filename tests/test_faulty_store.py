@@ -15,9 +15,9 @@ from common.location import Url
 from dataset import IndexConfig, build_index
 from recorder import Log
 from recorder.log.tags import Tag, add_tags, read_tags
-from recorder.log_copy_cli import copy_log
 from recorder.log_flag import logs_in
 from recorder.upkeep.check import check
+from recorder.upkeep.copy_log import copy_log
 from tests.helpers.bucket import Bucket, end_uploads, in_parts_of, serving_bucket, unfinished_parts
 from tests.helpers.faulty_proxy import FAULTS
 from tests.helpers.logs import write_log

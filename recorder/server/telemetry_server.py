@@ -28,7 +28,7 @@ from recorder.server.in_flight import InFlight, RunningClock
 from recorder.server.locale_numbers import POINT
 from recorder.server.malformed_packets import CheckedPacket, check_body, is_telemetry, one_line_logger
 from recorder.server.telemetry import MAX_IMAGE_BYTES, format_command
-from recorder.server.websocket import HandshakeError, WebSocket
+from recorder.server.websocket import NOTICES_BROKEN, HandshakeError, WebSocket
 
 TICK_S: Final = 0.1
 FIRST_COMMAND_S: Final = 1.0
@@ -296,6 +296,13 @@ class TelemetryServer:
                 connection.close(wait=False, abort=True)
                 raise
             self._clients[connection.sid].websocket = websocket
+
+            def give_reason() -> None:  # python-engineio would name none
+                if websocket.broken_by:
+                    self._notify_once(NOTICES_BROKEN[websocket.broken_by])
+                    connection.close(wait=False, abort=True, reason=websocket.broken_by)
+
+            websocket.before_end = give_reason
             try:
                 handle(websocket)
             except Exception:  # not Engine.IO
@@ -303,8 +310,6 @@ class TelemetryServer:
             finally:
                 websocket.close()
                 connection.close(wait=False, abort=True)
-                if websocket.broken_by:
-                    self._notify_once(websocket.broken_by)
             return []
 
         return serve

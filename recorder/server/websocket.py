@@ -36,10 +36,13 @@ DATA_OPCODES: Final = frozenset((Opcode.TEXT, Opcode.BINARY, Opcode.CONT))
 PING, PONG, PROBE, CONNECT, EVENT = "2", "3", "2probe", "40", "42"  # how messages of Engine.IO begin
 MAX_ECHOED_CHARACTERS: Final = 100  # of a ping's content
 
-TOO_LARGE: Final = "disconnected a client that sent too much at once: a picture has 320x160 pixels and about 15 KB"
-BROKEN_FRAME: Final = (
-    "disconnected a client that broke the websocket protocol: if it is your simulator, start it again"
-)
+TOO_LARGE, BROKEN_FRAME = "message too large", "broken frame"
+NOTICES_BROKEN: Final = {
+    TOO_LARGE: "disconnected a client that sent too much at once: a picture has 320x160 pixels and about 15 KB",
+    BROKEN_FRAME: (
+        "disconnected a client that broke the websocket protocol: if it is your simulator, start it again"
+    ),
+}
 
 
 class HandshakeError(ValueError):
@@ -68,7 +71,8 @@ class WebSocket:
         """`time.perf_counter()` when the last byte of the last message arrived, or earlier."""
         self.taken_s = 0.0  # `time.perf_counter()` when `wait` returned the last message; 0 before the first
         self.broken_by = ""
-        """The notice about the violation that closed the connection (TOO_LARGE, BROKEN_FRAME), or empty."""
+        """The violation that closed the connection (TOO_LARGE, BROKEN_FRAME); empty without one."""
+        self.before_end: Callable[[], None] = lambda: None  # called before `wait` returns None
         self._stream = stream
         self._sending_lock = lock  # taken before frames are made, to send them in order
         self._let_others_run = let_others_run
@@ -99,6 +103,7 @@ class WebSocket:
             self.look()
             while not self._messages:
                 if self._is_over:
+                    self.before_end()
                     return None
                 self._receive(None)
             message, self.received_s = self._messages.popleft()

@@ -55,9 +55,9 @@ def test_the_commands_that_it_ends_with_can_be_typed(installed: Path, tmp_path: 
         assert said[step + 1].startswith(f"called in {tmp_path / 'my demo'}: ")
         assert said[step - 1] == f"{number + 1} of 6"
         assert said[step + 2].startswith("took ")
-    assert shlex.split(said[-3])[1] == "my demo/drives/demo-mountain-10mph.mcap"
+    assert shlex.split(said[-3])[1] == "my demo/drives/demo-mountain-15mph.mcap"
     assert "drive yourself" in said[-2]
-    for closing, program, last in ((said[-3], "bc-play", "10mph.mcap"), (said[-1], "bc-web", "--open")):
+    for closing, program, last in ((said[-3], "bc-play", "15mph.mcap"), (said[-1], "bc-web", "--open")):
         typed = subprocess.run(
             closing, cwd=tmp_path, env=variables, shell=True, capture_output=True, text=True, check=True
         )

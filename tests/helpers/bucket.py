@@ -12,7 +12,7 @@ import pytest
 
 from common import object_store, store_connection
 from common.location import Url
-from recorder import log_copy_cli as copy_log
+from recorder.upkeep import copy_log
 from tests.helpers.faulty_proxy import Answer as Answer
 from tests.helpers.faulty_proxy import FaultyProxy, serving
 from tests.helpers.places import KEYS, Handler

@@ -21,7 +21,7 @@ from recorder.server import (
     telemetry_server,
 )
 from recorder.server.connection_guard import AllowedHosts
-from recorder.server.websocket import MAX_FRAMES, TOO_LARGE
+from recorder.server.websocket import MAX_FRAMES, NOTICES_BROKEN, TOO_LARGE
 from tests.helpers.driving import PATIENCE_S
 from tests.helpers.serving import (
     UNUSED,
@@ -153,7 +153,7 @@ def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: byte
             for _ in range(most // 1000):
                 client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
         client.until_hung_up()
-        wait_until(lambda: TOO_LARGE in serving.said)
+        wait_until(lambda: NOTICES_BROKEN[TOO_LARGE] in serving.said)
 
 
 # Those who send without end

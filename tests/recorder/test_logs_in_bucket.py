@@ -20,8 +20,8 @@ from common.location import Url, location, relative_to
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from recorder.log_cli import main
-from recorder.log_copy_cli import copy_log
 from recorder.upkeep.check import check
+from recorder.upkeep.copy_log import copy_log
 from tests.helpers.bucket import Answer, Bucket
 from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import one_line_in

@@ -18,8 +18,8 @@ from dataset import IndexConfig, build_index, load
 from recorder import Log
 from recorder.log.tags import Tag, add_tags, read_tags
 from recorder.log_cli import main
-from recorder.log_copy_cli import copy_log
 from recorder.upkeep.check import check
+from recorder.upkeep.copy_log import copy_log
 from tests.helpers.driving import one_line_in
 from tests.helpers.emulators import ACCOUNT_KEY, put_in_gcs, serving_gcs, serving_googles_xml, way_to_azurite
 from tests.helpers.faulty_proxy import FaultyProxy, Passing

@@ -12,7 +12,7 @@ import pytest
 
 from common.errors import ObjectExistsError, StoreError
 from recorder.log_cli import main
-from recorder.log_copy_cli import copy_log
+from recorder.upkeep.copy_log import copy_log
 from tests.helpers.bucket import Bucket, in_parts_of, unfinished_parts
 from tests.helpers.faulty_proxy import Passing
 from tests.helpers.logs import write_log

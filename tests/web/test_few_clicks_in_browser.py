@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +15,7 @@ from tests.helpers.drives import a_drive
 from tests.helpers.driving import road_jpeg, untrained_run
 from tests.helpers.histories import epoch_line, write_lines
 from tests.helpers.logs import write_log
-from tests.helpers.pages import drop, open_session, opened_page
+from tests.helpers.pages import drop, open_session, opened_page, with_token
 from tests.helpers.udacity import make_recording, paths
 from tests.helpers.waiting import wait_until
 from tests.helpers.workbench import served
@@ -82,3 +84,70 @@ def test_five_clicks_and_a_drop_import_train_and_drive(
         page.keyboard.press("Escape")
         page.keyboard.press("Enter")
         page.wait_for_selector("#after button")
+
+
+def test_four_clicks_and_keys_drive_learn_and_watch_the_network_drive(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From an empty project, by the real commands. It prints the time of each step."""
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    began_s = time.monotonic()
+
+    def note(step: str) -> None:
+        print(f"{step}: {time.monotonic() - began_s:.0f} s")
+
+    with served(tmp_path / "project") as bench, opened_page(browser, bench.address) as page:
+        page.click(".hero a[href='/wheel']")
+        page.click("button:text('Take the wheel')")
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        note("at the wheel")
+        page.keyboard.press("r")
+        page.keyboard.down("ArrowUp")
+        wait_until(lambda: int(page.inner_text("#rows").split()[0]) >= 100)
+        page.keyboard.up("ArrowUp")
+        page.keyboard.press("Escape")
+        page.keyboard.press("Enter")
+        note("driven")
+        page.click("button:text('Train on it')")
+        page.click("button:has-text('Let it drive')")
+        note("learnt")
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        wait_until(lambda: "the network drives" in page.inner_text("#driver"))
+        note("the network drives")
+        page.keyboard.press("Escape")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#after button")
+
+
+@pytest.mark.parametrize("size", [(390, 844), (844, 390)], ids=["upright", "lying"])
+def test_on_a_phone_a_drive_needs_no_scrolling(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
+    width, height = size
+    with (
+        served(tmp_path / "project") as bench,
+        contextlib.closing(
+            browser.new_context(viewport={"width": width, "height": height}, has_touch=True, is_mobile=True)
+        ) as context,
+    ):
+        page = context.new_page()
+
+        def tap(selector: str) -> None:
+            page.wait_for_selector(f"{selector} >> visible=true")
+            box = page.locator(selector).first.bounding_box()
+            assert box is not None
+            assert 0 <= box["y"] <= height - box["height"], selector
+            page.touchscreen.tap(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+        page.goto(with_token(f"{bench.address}/"))
+        tap(".hero a[href='/wheel']")
+        page.click("button:text('Take the wheel')")  # below the settings, which nobody has to change
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        tap("#record")
+        wait_until(lambda: int(page.inner_text("#rows").split()[0]) >= 20)
+        tap("#end")
+        tap("#confirm button.main")
+        page.wait_for_selector("#after button")
+        assert "Train on it" in page.inner_text("#after")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width

@@ -38,6 +38,7 @@ def test_each_point_leads_to_its_picture(browser: Browser, tmp_path: Path) -> No
             page.click("#scatter-show")
             page.wait_for_selector(f"#scatter[data-shown='{len(STEERING)}']")
             assert "held out" in page.inner_text("#scatter-legend")
+            page.locator("#scatter-cloud").scroll_into_view_if_needed()
             box = page.locator("#scatter-cloud canvas").first.bounding_box()
             assert box is not None
             # the same distance across and up, both with room for the largest, 14 pixels from the nearer edges

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from recorder import Log
+from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import command, environment
 from tests.helpers.pages import opened_page, window_of, with_token
 from tests.helpers.ports import free_ports
@@ -89,11 +90,15 @@ def test_the_picture_of_a_silent_simulator_is_dimmed_until_it_goes_on(
 
     with at_wheel(browser, bench, host) as page:
         assert page.is_hidden("#stalled")
+        page.keyboard.press("r")
+        page.wait_for_selector("#recording.on")
         host.is_silent = True
         wait_until(is_dimmed)
         assert page.inner_text("#stalled").startswith(text)
+        assert page.inner_text("#recording") == "no new rows"
         host.is_silent = False
         page.wait_for_selector("#stalled", state="hidden")
+        page.wait_for_selector("#recording.on")
         assert not page.query_selector("#cockpit.stalled")
 
 
@@ -184,6 +189,33 @@ def test_the_gamepad_that_moved_last_steers_and_is_let_go_when_unplugged(
         page.evaluate(PADS, pads[:1])  # at full lock
         steered(host, 0, "gamepad")
         wait_until(lambda: "Pad B was unplugged" in page.inner_text("#events"))
+
+
+def test_the_buttons_of_a_wheel_are_learnt_and_remembered(browser: Browser, bench: Served, host: Host) -> None:
+    wheel: dict[str, Any] = {"index": 0, "id": "Wheel", "mapping": "", "axes": [0]}
+
+    def press(button: int) -> None:
+        for value in (0, 1, 0):
+            page.evaluate(PADS, [wheel | {"pressed": {str(button): value}}])
+            page.wait_for_timeout(200)  # a few polls
+
+    with at_wheel(browser, bench, host) as page:
+        page.click("summary:has-text('Gamepad or wheel')")
+        page.wait_for_timeout(300)
+        press(4)
+        page.click("[data-learns=r]")
+        press(4)
+        assert page.inner_text("[data-learns=r] output") == "button 5"
+        assert host.number_of("record") == 0
+        press(4)
+        wait_until(lambda: host.number_of("record") == 1)
+        page.reload()
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        press(4)
+        wait_until(lambda: host.number_of("pause") == 1)
+        assert page.text_content("[data-learns=r] output") == "button 5"
+        page.eval_on_selector("[data-learns=r]", "button => (button.click(), button.click())")  # forgets it
+        assert page.text_content("[data-learns=r] output") == "as above"
 
 
 def test_a_gamepad_that_hangs_aside_or_sends_noise_does_not_steer(browser: Browser, bench: Served) -> None:
@@ -358,6 +390,13 @@ def test_a_newcomer_drives_and_finds_the_session_and_what_to_do_next(browser: Br
         page.keyboard.press("Enter")
         page.wait_for_selector("#after button")
         assert "Train on it" in page.inner_text("#after")
+        driven = page.url
+        page.reload()
+        assert page.url.endswith("/wheel/after/sessions/mine")
+        page.goto(driven)
+        assert page.url.endswith("/wheel/after/sessions/mine")
+        page.go_back()  # to the page that waited for the drive
+        page.wait_for_url("**/wheel/after/sessions/mine")
     log = bench.folder / "sessions" / "mine.mcap"
     with Log(log) as opened:
         states = opened.vehicle()
@@ -365,3 +404,23 @@ def test_a_newcomer_drives_and_finds_the_session_and_what_to_do_next(browser: Br
         assert min(states["steering"].to_pylist()) == -1
     checked = subprocess.run(command("bc-log", "check", log), env=environment(), capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_a_full_disk_ends_the_drive_on_the_page_and_keeps_what_is_recorded(
+    browser: Browser, bench: Served
+) -> None:
+    with files_of_at_most(1 << 20):
+        words = command("bc-record", "me", "mine", "--sessions", bench.folder / "sessions")
+        process = subprocess.Popen(words, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    with contextlib.ExitStack() as stack:
+        stack.callback(process.wait)
+        stack.callback(process.kill)
+        page = stack.enter_context(opened_page(browser, f"{bench.address}/wheel"))
+        page.click("#running a")
+        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
+        page.keyboard.press("r")
+        page.wait_for_selector("#ended:visible")
+        assert "File too large" in page.inner_text("#ended-title")
+        page.wait_for_selector("#after .lead")
+        assert "bc-log recover" in page.inner_text("#after")
+        assert page.inner_text("#recording") == "ended"

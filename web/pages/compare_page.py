@@ -90,13 +90,13 @@ def _last_drives(bench: Workbench, runs: Sequence[Path]) -> dict[str, Any]:
     pairs = [[newest.get((road, name)) for name in names] for road in roads]
     pair = [card for card in next((pair for pair in pairs if all(pair)), []) if card]
     views = bench.drives.views([card.path for card in pair], _PATIENCE_S)
-    on_map = [{"card": card, "view": view} for card in pair if isinstance(view := views.get(card.path), DriveView)]
-    if len(on_map) < len(names):
+    drives = [view for card in pair if isinstance(view := views.get(card.path), DriveView)]
+    if len(drives) < len(names):
         return {"on_map": [], "map": None}
     colours = [run_colours(names)[name] for name in names]
     return {
-        "on_map": on_map,
-        "map": drive_map([drive["view"] for drive in on_map], colours, "drive"),
+        "on_map": [{"card": card, "view": view} for card, view in zip(pair, drives, strict=True)],
+        "map": drive_map(drives, colours, "drive"),
         "colours": colours,
     }
 

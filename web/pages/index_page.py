@@ -170,7 +170,7 @@ def index_routes(bench: Workbench) -> list[Route]:
             now=now,
             then=then,
             is_missing=not (index / SAMPLES_NAME).exists(),
-            is_damaged=bool(problem),
+            is_damaged=bool(problem) and (index / SAMPLES_NAME).exists(),
             problem=problem,
             trial_problem=trial_problem,
             stale=stale,

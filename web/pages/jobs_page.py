@@ -30,8 +30,8 @@ def job_routes(bench: Workbench) -> list[Route]:
         values = dict(request.query_params)
         opened = values.pop("start", "")
         is_learning = dict(names["runs"]).get(values.get("run", ""), False)
-        context = {"names": names, "opened": opened, "values": values, "jobs": bench.jobs.all()}
-        context |= {"taken_in": taken_in, "is_usual": is_usual, "is_learning": is_learning}
+        context: dict[str, Any] = {"names": names, "opened": opened, "values": values, "is_learning": is_learning}
+        context |= {"jobs": bench.jobs.all(), "taken_in": taken_in, "is_usual": is_usual}
         return page("jobs.html", live=live, forms=FORMS, **context)
 
     def now(request: Request) -> Response:

@@ -86,6 +86,8 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         """A page that waits until the drive of a job can be steered."""
         job = bench.jobs.get(request.path_params["job"])
         address = _address(job.about.made, bench.folders) if job.is_running else ""
+        if not address and job.is_good and not job.is_running and "hx-request" not in request.headers:
+            return RedirectResponse(job.about.made, status_code=303)  # Back, after the drive
         if not address:
             return page("wheel_begin.html", job=job)
         if "hx-request" in request.headers:
@@ -93,9 +95,15 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         return RedirectResponse(address, status_code=303)
 
     def drive(request: Request) -> Response:
-        wheel = running(request.path_params["key"])
+        key = request.path_params["key"]
+        wheel = next((wheel for wheel in open_wheels(Path.cwd()) if wheel.key == key), None)
+        kept = f"drive of {key}"
+        if wheel is None and (ended := bench.cache.find(kept)):  # a reload, or Back
+            return RedirectResponse(ended.decode(), status_code=303)
+        wheel = wheel or running(key)
         place = place_of(wheel, bench.folders)
         after = _after(*place) if place else ""
+        bench.cache.keep(kept, after.encode())
         return page("wheel.html", title=printable(wheel.title), at=f"/wheel/{wheel.key}", after=after)
 
     def train(request: Request, values: Values) -> Response:

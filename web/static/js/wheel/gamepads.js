@@ -1,7 +1,7 @@
 // Gamepads and wheels, by the Gamepad API. The one moved last is used. A device must be at rest once before it counts:
 // a stick may hang to the side, and a pedal that was never pressed reads 0.
 
-const BUTTONS = { 0: "r", 1: "b", 2: "x", 3: "h", 9: "escape" }; // of a standard gamepad: the keys that they press
+const BUTTONS = { r: 0, b: 1, x: 2, h: 3, escape: 9 }; // of a standard gamepad, by the key that each presses
 const STANDARD = { steering: 0, brake: 6, throttle: 7 }; // an axis, two triggers
 const TRIGGER_FROM = 0.05;
 const POLLS_TO_BEGIN = 2; // a single spike is noise
@@ -29,8 +29,9 @@ export class Gamepads {
   #settings;
   #onProblem;
   #onKey;
+  #onLearnt = null;
 
-  /** `onProblem` gets messages for the person, `onKey` the keys that a gamepad's buttons press. */
+  /** `onProblem` gets messages for the person, `onKey` the keys that buttons press. */
   constructor(settings, onProblem, onKey) {
     this.#onKey = onKey;
     this.#settings = settings;
@@ -39,6 +40,11 @@ export class Gamepads {
 
   get names() {
     return [...this.#pads.values()].map((pad) => pad.name);
+  }
+
+  /** The next button that is pressed is given to `onLearnt`, instead of doing something; null: none is awaited. */
+  learn(onLearnt) {
+    this.#onLearnt = onLearnt;
   }
 
   /** The window has lost the focus: devices must be at rest before they steer again. */
@@ -98,19 +104,29 @@ export class Gamepads {
   #read(state, pad, now) {
     const { dead_zone, curve, steer_axis, throttle_axis, brake_axis } = this.#settings;
     const isStandard = pad.mapping === "standard";
-    if (isStandard) this.#press(state, pad.buttons);
+    this.#press(state, pad.buttons, isStandard);
     const steering = shaped(pad.axes[isStandard ? STANDARD.steering : steer_axis], dead_zone, curve);
     if (this.#isNoise(state, steering, now)) return { steering: 0, throttle: 0 };
     const pedal = (button, axis) => Math.max(trigger(pad.buttons[button]), isStandard ? 0 : pressed(state, pad.axes, axis));
     return { steering, throttle: pedal(STANDARD.throttle, throttle_axis) - pedal(STANDARD.brake, brake_axis) };
   }
 
-  #press(state, buttons) {
-    for (const [at, key] of Object.entries(BUTTONS)) {
-      const isDown = trigger(buttons[at]) > 0;
-      if (isDown && state.down[at] === false) this.#onKey(key); // it was seen released before
+  #press(state, buttons, isStandard) {
+    buttons.forEach((button, at) => {
+      if (isStandard && (at === STANDARD.brake || at === STANDARD.throttle)) return;
+      const isDown = trigger(button) > 0;
+      if (isDown && state.down[at] === false) this.#pressed(at, isStandard); // it was seen released before
       state.down[at] = isDown;
-    }
+    });
+  }
+
+  #pressed(at, isStandard) {
+    const onLearnt = this.#onLearnt;
+    this.#onLearnt = null;
+    if (onLearnt) return onLearnt(at);
+    const buttonOf = (key) => (this.#settings[`button_${key}`] >= 0 || !isStandard ? this.#settings[`button_${key}`] : BUTTONS[key]);
+    const key = Object.keys(BUTTONS).find((name) => buttonOf(name) === at);
+    if (key) this.#onKey(key);
   }
 
   #isNoise(state, steering, now) {

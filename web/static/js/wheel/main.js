@@ -45,6 +45,8 @@ let isFree = false; // nobody holds the wheel
 let isOver = false;
 let isRecording = false;
 let hasRecorded = false;
+let learner = null; // a button of the page that waits for a button of a gamepad
+const learners = document.querySelectorAll("[data-learns]");
 
 const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
 
@@ -111,7 +113,9 @@ function connected(isOpen) {
   hands.release();
   delays.forget();
   if (isOver) return;
-  showProblem("The connection is lost, and all keys are released. The page connects again by itself.");
+  by("cockpit").classList.add("stalled");
+  panel.showRecording("not connected");
+  showProblem("The connection is lost, and all keys are released. What is recorded is kept. The page connects again by itself.");
   findOut();
 }
 
@@ -119,10 +123,10 @@ function connected(isOpen) {
 async function findOut() {
   try {
     const answer = await fetch(page.dataset.at, { method: "HEAD" });
-    if (answer.status === 404) ended({ why: "its process has ended" });
+    if (answer.status === 404 || answer.redirected) ended({ why: "its process has ended" });
     if (answer.status === 401) showProblem("bc-web was started again, and all keys are released. The drive goes on. Open the address that bc-web printed: it has a new token.");
   } catch {
-    showProblem("bc-web does not answer, and all keys are released. The drive goes on. The page connects again by itself.");
+    showProblem("bc-web does not answer, and all keys are released. The drive goes on without you, and what is recorded is kept. The page connects again by itself.");
   }
 }
 
@@ -211,8 +215,7 @@ function ended({ why }) {
   showProblem("");
   for (const id of ["drive", "seat", "help", "stalled"]) by(id).hidden = true;
   for (const element of page.querySelectorAll(".tools, details, #driver, #help-button, #full-screen")) element.hidden = true;
-  write("recording", "ended");
-  by("recording").classList.remove("on");
+  panel.showRecording("ended");
   write("ended-title", why ? `${why[0].toUpperCase()}${why.slice(1)}` : "The drive has ended");
   by("ended").hidden = false;
   if (by("confirm").open) by("confirm").close();
@@ -238,6 +241,25 @@ function showSettings() {
   by("holds").checked = settings.holds;
   for (const name of ["hold_mph", "dead_zone", "curve", "steer_axis", "throttle_axis", "brake_axis"]) by(name).value = settings[name];
   by("recorded").setAttribute("aria-pressed", settings.recorded);
+  for (const button of learners) {
+    const at = settings[`button_${button.dataset.learns}`];
+    button.setAttribute("aria-pressed", button === learner);
+    button.lastElementChild.textContent = button === learner ? "press a button of it" : at < 0 ? "as above" : `button ${at + 1}`;
+  }
+}
+
+/** The next button of a gamepad or wheel does the same as this button's key; a second click forgets what was learnt. */
+function learn(button) {
+  const name = `button_${button.dataset.learns}`;
+  const isSecond = learner === button;
+  learner = isSecond ? null : button;
+  pads.learn(isSecond ? null : (at) => {
+    for (const other of learners) if (settings[`button_${other.dataset.learns}`] === at) saveSetting(settings, `button_${other.dataset.learns}`, -1);
+    learner = null;
+    change(name, at);
+  });
+  if (isSecond) change(name, -1);
+  showSettings();
 }
 
 function toggleRecorded() {
@@ -271,6 +293,7 @@ for (const [id, key] of Object.entries(buttons)) {
   });
 }
 by("seat").lastElementChild.addEventListener("click", askOrGive);
+for (const button of learners) button.addEventListener("click", () => learn(button));
 by("holds").addEventListener("change", () => change("holds", by("holds").checked));
 for (const name of ["hold_mph", "dead_zone", "curve", "steer_axis", "throttle_axis", "brake_axis"]) {
   by(name).addEventListener("change", () => change(name, by(name).valueAsNumber));

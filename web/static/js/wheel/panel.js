@@ -43,15 +43,22 @@ export class Panel {
     write("pace", pace(frame.pace));
     by("pace").classList.toggle("odd", frame.pace != null && frame.pace < SLOW_PACE);
     write("delay", delay_ms == null ? "-" : `${delay_ms.toFixed(0)} ms`);
-    write("recording", frame.is_recording ? "recording" : frame.rows ? "paused" : "not recording yet");
+    const isWaiting = frame.stalled || (this.#hello.kind !== "drive" && ["brake", "nobody"].includes(frame.drives));
+    const waits = frame.stalled ? "no new rows" : "nobody steers: no new rows";
+    this.showRecording(frame.is_recording ? (isWaiting ? waits : "recording") : frame.rows ? "paused" : "not recording yet");
     write("record-label", frame.is_recording ? "Pause" : "Record");
-    by("recording").classList.toggle("on", Boolean(frame.is_recording));
     write("driver", this.#driver(frame, isHolder));
     by("driver").dataset.by = frame.drives;
     by("in-force").setAttribute("transform", `rotate(${(frame.steering ?? 0) * WHEEL_DEG})`);
     by("wanted").setAttribute("visibility", wanted === null ? "hidden" : "visible");
     by("wanted").setAttribute("transform", `rotate(${(wanted ?? 0) * WHEEL_DEG})`);
     this.#map.move(frame);
+  }
+
+  /** Only "recording" is lit: rows are written now. */
+  showRecording(text) {
+    write("recording", text);
+    by("recording").classList.toggle("on", text === "recording");
   }
 
   #driver({ drives, device }, isHolder) {

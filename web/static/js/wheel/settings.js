@@ -10,9 +10,15 @@ const DEFAULTS = {
   steer_axis: 0, // for a wheel whose axes have no standard order
   throttle_axis: -1, // none
   brake_axis: -1,
+  button_r: -1, // learnt: what does the same as this key; -1 is none
+  button_x: -1,
+  button_b: -1,
+  button_h: -1,
+  button_escape: -1,
   recorded: false, // show the picture as recorded
 };
 const BOUNDS = { hold_mph: [1, 100], dead_zone: [0, 0.9], curve: [1, 4], steer_axis: [0, 15], throttle_axis: [-1, 15], brake_axis: [-1, 15] };
+for (const name of Object.keys(DEFAULTS)) if (name.startsWith("button_")) BOUNDS[name] = [-1, 63];
 
 /** The settings, each a valid value. */
 export function loadSettings() {
