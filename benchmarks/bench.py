@@ -37,7 +37,7 @@ from dataset import IndexConfig, build_index
 from model.adam import Adam
 from model.config import TrainConfig
 from model.device import choose_machine
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 from model.training.step import training_step
 from simulator.protocol.client import SimulatorClient
 

@@ -36,7 +36,7 @@ from dataset.picture_spec import ORIGINAL
 from model.adam import Adam
 from model.config import Precision, TrainConfig
 from model.device import choose_machine
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 from model.runs.training_progress import Epoch, Step
 from model.training.step import training_step
 from model.training.trainer import train

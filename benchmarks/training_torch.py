@@ -29,7 +29,7 @@ from common.recipe import Recipe
 from model.adam import Adam
 from model.config import TrainConfig
 from model.device import choose_machine
-from model.network.original import PARAMETERS, SteeringNetwork
+from model.network.pilotnet import PARAMETERS, SteeringNetwork
 from model.runs.training_progress import Epoch, Step
 from model.training.step import training_step
 from model.training.trainer import train

@@ -6,20 +6,20 @@ from common.lazy import lazy_names
 
 if TYPE_CHECKING:
     from drive.config import DriveConfig as DriveConfig
+    from drive.config import DriveError as DriveError
     from drive.control.driver import Decision as Decision
     from drive.control.driver import Driver as Driver
     from drive.control.speed_controller import SpeedController as SpeedController
     from drive.drive_server import DriveServer as DriveServer
-    from drive.errors import DriveError as DriveError
+    from drive.evaluation.closed_loop import BuiltInSimulator as BuiltInSimulator
     from drive.evaluation.closed_loop import DriveResult as DriveResult
     from drive.evaluation.closed_loop import evaluate as evaluate
-    from drive.evaluation.simulator_process import BuiltInSimulator as BuiltInSimulator
 
 _HOMES = {
-    "BuiltInSimulator": "drive.evaluation.simulator_process",
+    "BuiltInSimulator": "drive.evaluation.closed_loop",
     "Decision": "drive.control.driver",
     "DriveConfig": "drive.config",
-    "DriveError": "drive.errors",
+    "DriveError": "drive.config",
     "DriveResult": "drive.evaluation.closed_loop",
     "DriveServer": "drive.drive_server",
     "Driver": "drive.control.driver",

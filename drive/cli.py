@@ -22,9 +22,8 @@ from common.preview import has_display, preview
 from common.progress import StatusLine
 from common.streams import never_wait
 from common.wheel_page import wait_until_left, wheel_page
-from drive.config import DriveConfig
+from drive.config import DriveConfig, DriveError
 from drive.drive_flags import Drive, refuse_contradictions, with_default_driver
-from drive.errors import DriveError
 
 if TYPE_CHECKING:
     from drive.at_wheel import AtWheel
@@ -52,7 +51,7 @@ def drive(config: Drive) -> int:
 
     from common.process_settings import prepare_to_drive
     from drive.drive_server import DriveServer
-    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps, drive_built_in
+    from drive.evaluation.closed_loop import BuiltInSimulator, check_laps, drive_built_in
     from model import find_run
 
     simulator = None
@@ -100,7 +99,7 @@ def drive(config: Drive) -> int:
                     raise DriveError(f"{path}: nothing was driven: {server.no_drive_reason}")
         code = _print_drives(server.sessions, config, run)
         if at_wheel is not None:
-            from drive.kept_drive import keep_supervised
+            from drive.driven_car import keep_supervised
 
             code = max(code, keep_supervised(run, settings, config.simulator, server.session))
             if config.page:
@@ -232,7 +231,7 @@ def _print_drives(sessions: Sequence[DriveSession], config: Drive, run: Path) ->
 def _print_next(sessions: Sequence[DriveSession], config: Drive, run: Path) -> None:
     """Print the next command. With --takeover, it learns from the takeovers, if there are any; else it shows the
     last drive."""
-    from model.runs.run_arguments import run_argument
+    from model.runs.run_files import run_argument
 
     with_takeovers = [
         session for session in sessions if session.summary.takeovers + session.summary.manual_stretches

@@ -6,11 +6,15 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from drive.errors import DriveError
+from common import UserError
 from simulator.driving.drive_limits import MAX_SPEED_MPH
 
-if TYPE_CHECKING:  # NumPy
+if TYPE_CHECKING:
     from recorder.log.session_car import Car
+
+
+class DriveError(UserError):
+    """A drive cannot start, because its speed or its course is invalid, or its simulator has failed."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,19 @@
-"""The driven car: named by `--car`, or the car of the run's sessions."""
+"""The driven car: named by `--car`, or the car of the run's sessions. The results of drives that a run keeps."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from common.car import MAX_STEERING_DEG
+from common.command import DONE, warn
 from common.stored_settings import settings_from
-from drive.errors import DriveError
+from drive.config import DriveConfig, DriveError
+from drive.drive_session import DriveSession
+from model.errors import RunWriteError
 from model.runs.car_of_run import cars_of_run, known_max_steering_deg_of_run, max_steering_deg_of_run
+from model.runs.run_files import Way, keep_result
 from recorder.log.session_car import BUILT_IN, UDACITY, Car, named_car
 
 
@@ -38,3 +44,32 @@ def other_steering(run: Path, car: Car | None) -> str:
     if learnt_deg == driven_deg:
         return ""
     return f"steering 1 is {learnt_deg:g} degrees in {run}, and {driven_deg:g} in this car: it is sent unchanged"
+
+
+def keep(run: Path, way: Way, result: Mapping[str, Any]) -> int:
+    """Keep a result in the run's folder. Returns exit code 3 and prints a warning if that fails."""
+    try:
+        keep_result(run, way, result)
+    except RunWriteError as error:
+        return warn(f"the result is not kept in the run: {error}")
+    return DONE
+
+
+def keep_supervised(run: Path, config: DriveConfig, track: str | None, session: DriveSession) -> int:
+    """Keep the result of a drive that a person supervised, if its simulator reports laps. Returns the exit
+    code."""
+    summary = session.summary
+    if summary.laps is None:
+        return DONE
+    result = {
+        "track": track or "another simulator",  # which names no track
+        "set_speed_mph": config.set_speed_mph,
+        "laps": summary.laps,
+        "distance_m": summary.distance_m,
+        "interventions": summary.interventions,
+        "by_person": summary.manual_stretches,
+        "put_back": summary.put_back,
+        "autonomy_percent": summary.autonomy_percent,
+        "log": str(session.writer.path),
+    }
+    return keep(run, "supervised", result)

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from common.interrupts import StopEvent
+from drive.config import DriveError
 from drive.drive_session import DriveSession
-from drive.errors import DriveError
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World
 from recorder.sources.gymnasium_car import CarCommand, GymnasiumCar

@@ -20,10 +20,9 @@ from common.process_settings import use_large_pages
 from common.untrusted import real_path
 from common.verbs import Verb, run_verbs
 from model.config import TrainConfig
-from model.epoch_printer import EpochPrinter
 from model.export_cli import Export, export
 from model.network.names import is_own
-from model.runs.run_arguments import new_run_name
+from model.runs.run_files import new_run_name
 from model.train_flags import (
     EARLIER,
     INDEX,
@@ -49,8 +48,8 @@ if TYPE_CHECKING:
 
 
 def train(config: Train) -> int:
+    from model.runs.provenance import init_of
     from model.runs.run_folder import find_any_run
-    from model.runs.run_inputs import init_of
 
     if config.on and config.like is not None:
         raise UsageError("--on chooses the samples; with --like they are already chosen: leave out one of them")
@@ -137,7 +136,7 @@ def _try_network(settings: TrainConfig, init: Path | None, like: Path | None) ->
     from model.device import choose_machine
     from model.network.choice import choose_network, chosen_picture
     from model.runs.run_folder import load_config
-    from model.training.earlier_run import refuse_other_network
+    from model.training.trainer import refuse_other_network
 
     machine = choose_machine(settings, load_config(like).get("machine") if like is not None else None)
     network = choose_network(settings)
@@ -211,9 +210,9 @@ def _resumed_at(run: Path, epochs: int) -> str:
 
 def _resume(run: Path, index: Path) -> str:
     from model.runs.network_of_run import own_network_flag
-    from model.runs.run_arguments import run_argument
+    from model.runs.provenance import index_of
+    from model.runs.run_files import run_argument
     from model.runs.run_folder import load_config
-    from model.runs.run_inputs import index_of
 
     stored = index_of(run)
     is_stored = isinstance(stored, Path) and real_path(stored) == real_path(index)
@@ -223,6 +222,8 @@ def _resume(run: Path, index: Path) -> str:
 
 def _listeners(progress: ProgressFlags, run: Path, settings: TrainConfig) -> list[Listener]:
     """The listeners of a training. Raises UserError if a package that one of them needs is not installed."""
+    from model.runs.training_progress import EpochPrinter
+
     listeners: list[Listener] = [EpochPrinter(settings.keep)]
     if progress.tensorboard:
         from model.training.tensorboard import TensorBoard
@@ -275,7 +276,7 @@ def _index_on(sessions: Sequence[str], run: Path, places: Places, recipe: Recipe
 
 def _index_with_takeovers(config: Continue, run: Path, init: Path) -> tuple[Path, int]:
     """Build the index of the logs of `init` and of takeovers. Returns it and the exit code of its notices."""
-    from model.runs.reproduce import logs_with_takeovers
+    from model.runs.provenance import logs_with_takeovers
 
     places = config.places
     index = _own_index(run, places)
@@ -308,8 +309,7 @@ def _build_own_index(
 def _index_of_run(run: Path, places: Places) -> tuple[Path, int]:
     """The index of the samples that a run was trained on, built if missing, and the exit code of its notices."""
     from dataset.samples.samples_format import SAMPLES_NAME
-    from model.runs.reproduce import index_of_run
-    from model.runs.run_inputs import sessions_of
+    from model.runs.provenance import index_of_run, sessions_of
 
     given = places.index_of(run)
     sessions = places.sessions or sessions_of(run) or SESSIONS

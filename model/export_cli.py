@@ -13,7 +13,7 @@ import tyro
 from common.command import DONE, warn
 from common.errors import UsageError
 from common.output import print_message, print_next, print_result
-from model.runs.run_arguments import RUNS
+from model.runs.run_files import RUNS
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ def _export_onnx(run: Path, config: Export) -> int:
 
 
 def _export_to_donkeycar(run: Path, folder: Path, *, overwrite: bool) -> int:
-    from model.donkeycar_export import PART, export_to_donkeycar
-    from model.onnx_export import input_line
+    from model.onnx_export import PART, export_to_donkeycar, input_line
     from model.runs.run_folder import picture_of_run, targets_of_run
 
     path, difference = export_to_donkeycar(run, folder, overwrite=overwrite)
@@ -108,7 +107,7 @@ def _print_code(code: str) -> None:
 
 def _export_to_hub(run: Path, folder: Path, licence: str | None) -> int:
     from model.hub_export import export_to_hub
-    from model.runs.run_arguments import run_argument
+    from model.runs.run_files import run_argument
     from model.runs.run_folder import run_name
 
     written = export_to_hub(run, folder, licence=licence)

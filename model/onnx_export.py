@@ -1,6 +1,10 @@
-"""Export a run's network as one ONNX file, for programs without this toolkit and PyTorch.
+"""Export a run's network as one ONNX file, for programs without this toolkit and PyTorch; also for a DonkeyCar.
 
 PyTorch's exporter writes the graph. The file gets its name after ONNX Runtime was compared with PyTorch.
+
+The graph begins with crops, or with a camera's picture of any size. Its arithmetic is OpenCV's, with weights of 11
+bits for the resize and of 14 bits for YUV, so the crop equals that of `dataset.preprocessing.preprocess`. Doubles
+hold all integers of this arithmetic exactly.
 
 ONNX, ONNX Script and ONNX Runtime are an extra (`pip install ".[onnx]"`). Only this file imports them.
 """
@@ -19,7 +23,7 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 from torch.export import Dim
 
 from common import atomic_file
@@ -27,19 +31,82 @@ from common.errors import printable
 from common.files import refuse_existing
 from common.named_function import in_one_line
 from common.versions import TOOLKIT, install_line, version_of
-from dataset.picture_spec import PictureSpec, metadata_of
+from dataset.picture_spec import ROWS, PictureSpec, metadata_of
 from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName
 from dataset.preprocessing import as_bgr, preprocess
 from model.errors import RunError
 from model.evaluation.predict import as_input
 from model.network.picture_network import PictureNetwork
-from model.onnx_camera import FromCamera, FromCrops
 from model.runs.car_of_run import known_max_steering_deg_of_run
 from model.runs.run_files import run_write_errors
 from model.runs.run_folder import load_network, picture_of_run, run_name, targets_of_run, weights_checksum
 
 if TYPE_CHECKING:
     from onnx import ModelProto
+
+
+class FromCrops(nn.Module):
+    """Crops, uint8 (N, height, width, 3), to the steering and other targets in their units, each float32 (N,)."""
+
+    def __init__(self, network: PictureNetwork, targets: Sequence[TargetName]) -> None:
+        super().__init__()
+        self.network, self.targets = network, tuple(targets)
+
+    def forward(self, pictures: Tensor) -> tuple[Tensor, ...]:
+        answers = self.network(pictures.permute(0, 3, 1, 2))
+        if len(self.targets) == 1:
+            return (answers,)
+        others = (answers[:, at] * TARGETS[name].per_unit for at, name in enumerate(self.targets[1:], 1))
+        return (answers[:, 0], *others)
+
+
+class FromCamera(FromCrops):
+    """One picture, uint8 RGB (height, width, 3), to the outputs of `FromCrops` and the crop."""
+
+    def __init__(self, network: PictureNetwork, targets: Sequence[TargetName], spec: PictureSpec) -> None:
+        super().__init__(network, targets)
+        self.spec = spec
+
+    def forward(self, picture: Tensor) -> tuple[Tensor, ...]:
+        crop = _in_channels(_resized(picture, self.spec), self.spec.channels).to(torch.uint8)
+        return (*super().forward(crop.unsqueeze(0)), crop)
+
+
+def _resized(picture: Tensor, spec: PictureSpec) -> Tensor:
+    """The rows of `PictureSpec.crop_slice` in the network's size, equal to cv2.resize with INTER_LINEAR."""
+    height, width = (torch.scalar_tensor(side, dtype=torch.float64) for side in picture.shape[:2])
+    top = torch.minimum(torch.round(height * (spec.crop_top / ROWS)), height - 1)
+    rows = torch.maximum(height - torch.round(height * (spec.crop_bottom / ROWS)) - top, torch.ones_like(top))
+    left, right, share = _neighbours(width, spec.width_px)
+    share = share[:, None]
+    levels = picture.double()
+    levels = ((levels[:, left] * (2048 - share) + levels[:, right] * share) / 16).floor()
+    above, below, share = _neighbours(rows, spec.height_px)
+    above, below, share = above + top.long(), below + top.long(), share[:, None, None]
+    upper, lower = levels[above] * (2048 - share), levels[below] * share
+    return (((upper / 65536).floor() + (lower / 65536).floor() + 2) / 4).floor()
+
+
+def _neighbours(length: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """For each of `size` positions on an axis: the two nearest pixels, and the share of the second in 1/2048."""
+    position = ((torch.arange(size, dtype=torch.float64) + 0.5) * (length / size) - 0.5).float()
+    first, last = position.floor(), (length - 1).float()
+    pixels = (torch.minimum(first.clamp(min=0), last).long(), torch.minimum(first + 1, last).long())
+    return *pixels, ((position - first) * 2048).round().double()
+
+
+def _in_channels(rgb: Tensor, channels: str) -> Tensor:
+    """The picture in the order of colours `channels`, equal to cv2.cvtColor."""
+    if channels == "RGB":
+        return rgb
+    red, green, blue = rgb.unbind(2)
+    if channels == "BGR":
+        return torch.stack([blue, green, red], dim=2)
+    luma = ((red * 4899 + green * 9617 + blue * 1868 + 8192) / 16384).floor()
+    from_blue, from_red = ((blue - luma) * 8061, (red - luma) * 14369)
+    chroma = (((part + 8192) / 16384).floor() + 128 for part in (from_blue, from_red))
+    return torch.stack([luma, *chroma], dim=2).clamp(0, 255)
+
 
 OPSET, IR_VERSION = 18, 8  # ONNX 1.13 (2022), the earliest that PyTorch writes
 _ABOUT: Final = {
@@ -292,3 +359,25 @@ def _pictures(picture: PictureSpec) -> NDArray[np.uint8]:
         is_road = np.abs(columns - 0.5 - bend * (1 - rows) ** 2) < 0.05 + 0.4 * rows
         road[:] = np.where(is_road[..., None], (90, 90, 90), (70, 140, 60)) + random.normal(0, 8, road.shape)
     return pictures.clip(0, 255).astype(np.uint8)
+
+
+PART: Final = Path(__file__).with_name("donkeycar_part.py")
+
+
+def export_to_donkeycar(run: Path, folder: Path, *, overwrite: bool = False) -> tuple[Path, float]:
+    """Write NAME.onnx and donkeycar_part.py to `folder`, which may exist. Returns the path of the ONNX file, and
+    the largest difference of the steering between ONNX Runtime and PyTorch.
+
+    An equal donkeycar_part.py stays. Raises RunError as `export_onnx` does; UserError if the ONNX file or a
+    different donkeycar_part.py exists and `overwrite` is off.
+    """
+    code, part = PART.read_bytes(), folder / PART.name
+    is_current = part.is_file() and part.read_bytes() == code
+    if not is_current:
+        refuse_existing(part, overwrite)
+    path = folder / f"{run_name(run)}.onnx"
+    difference = export_onnx(run, path, of_camera=True, overwrite=overwrite)
+    if not is_current:
+        with run_write_errors(part), atomic_file(part, overwrite=overwrite) as temporary:
+            temporary.write_bytes(code)
+    return path, difference

@@ -14,7 +14,7 @@ from common.location import local_path
 from common.recipe import recipe_given, value_given
 from common.verbs import Earlier, word_after_verb
 from model.config import TrainConfig
-from model.runs.run_arguments import RUNS
+from model.runs.run_files import RUNS
 
 INDEX: Final = Path("index")
 SESSIONS: Final = Path("sessions")
@@ -41,7 +41,7 @@ class Places:
 
     def index_of(self, run: Path) -> Path:
         """The index that is given, or that of the run. Raises RunError if the run's is in a store."""
-        from model.runs.run_inputs import local_index_of
+        from model.runs.provenance import local_index_of
 
         return self.index or local_index_of(run) or INDEX
 

@@ -33,8 +33,8 @@ from toolkit_command import output_of
 from dataset import IndexConfig, build_index
 from dataset.config import EARLIER_ALTERATIONS, EPOCH_ALTERATIONS
 from drive.config import DriveConfig
+from drive.evaluation.closed_loop import BuiltInSimulator
 from drive.evaluation.closed_loop import evaluate as drive
-from drive.evaluation.simulator_process import BuiltInSimulator
 from model import TrainConfig, load_pilot, train
 from model.evaluation.evaluate import evaluate_sessions
 from model.training.trainer import Trained

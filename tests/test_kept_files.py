@@ -18,8 +18,8 @@ from dataset.frames.frames_file import FRAMES_FORMAT
 from dataset.samples.samples_format import READABLE_FORMATS, SAMPLES_FORMAT
 from model import load_pilot
 from model.runs.checkpoint import FORMAT as CHECKPOINT_FORMAT
-from model.runs.run_config import DRIVABLE
-from model.runs.run_config import FORMAT as RUN_FORMAT
+from model.runs.run_files import DRIVABLE
+from model.runs.run_files import FORMAT as RUN_FORMAT
 from model.runs.run_summary import summarize_run
 from recorder import Log
 from recorder.upkeep.check import check

@@ -35,8 +35,7 @@ from common.ray_cluster import (
 from common.tasks import Tasks, one_by_one
 from dataset import build_index
 from drive.config import DriveConfig
-from drive.evaluation.closed_loop import drive_runs
-from drive.evaluation.simulator_process import BuiltInSimulator
+from drive.evaluation.closed_loop import BuiltInSimulator, drive_runs
 from recorder.upkeep.check import check
 from tests.helpers.bucket import serving_bucket
 from tests.helpers.clusters import ray_cluster

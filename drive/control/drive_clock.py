@@ -1,6 +1,9 @@
-"""The clock of a drive: the simulator's if it sends its time, else this computer's."""
+"""The clock of a drive: the simulator's if it sends its time, else this computer's. Events of its course."""
 
 from __future__ import annotations
+
+import math
+from typing import Final
 
 from recorder.log.log_time import LONGEST_STEP_S, StandingClock
 from recorder.server.world import World
@@ -48,3 +51,29 @@ class DriveClock:
         self.safety_s += max(0.0, passed_s, computer_s)
         self._time_s += max(0.0, passed_s)
         return self._time_s
+
+
+PUT_BACK: Final = "off the road, or stuck: the simulator put the car back"
+
+
+class CourseEvents:
+    """Compares the world of each telemetry message with earlier ones. The first one gives no event."""
+
+    def __init__(self) -> None:
+        self._interventions: int | None = None
+        self._whole_laps: int | None = None
+
+    def update(self, world: World) -> list[str]:
+        """The events since the last call."""
+        events = []
+        if world.interventions is not None:
+            if self._interventions is not None and world.interventions > self._interventions:
+                events.append(PUT_BACK)
+            self._interventions = world.interventions
+        if world.laps is not None:
+            whole_laps = math.floor(world.laps)
+            if self._whole_laps is not None and whole_laps > self._whole_laps:
+                events.append(f"lap {whole_laps}")
+            # the maximum so far: a line that is crossed backwards and again counts one lap
+            self._whole_laps = max(whole_laps, self._whole_laps or 0)
+        return events

@@ -8,22 +8,82 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+from dataset import decode
 from dataset.preprocessing import Image
 from drive.config import DriveConfig
-from drive.control.course_events import CourseEvents
-from drive.control.drive_clock import DriveClock
+from drive.control.drive_clock import CourseEvents, DriveClock
 from drive.control.speed_controller import SpeedController
-from drive.control.steering_filter import SteeringFilter
 from drive.control.takeover import PersonTakeover, Takeover
-from drive.control.telemetry_picture import camera_picture
 from model import Pilot
 from model.pilot import NetworkAnswer
 from recorder.log.session_car import UDACITY
+from recorder.pictures.picture_size import pixels
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import Telemetry, TelemetryError, check_whole_picture, parse_telemetry
 from recorder.server.world import World, WorldNotices
 from recorder.teleop.pedals import WALKING_MPH, EmergencyBrake
 from recorder.topics import Device
+
+MAX_PIXELS: Final = 1 << 21
+"""The largest accepted picture. 1920x1080 is just within, and takes 10 ms to decode. A message may hold a
+megabyte, which can decode to 60 million pixels; during the second that this takes, nobody would control the
+car."""
+
+
+def camera_picture(encoded: bytes) -> tuple[Image, tuple[int, int]]:
+    """The picture (height, width, 3) BGR, and the width and height in its header: decoding may rotate it by EXIF.
+
+    Raises TelemetryError for an incomplete picture, and for more than `MAX_PIXELS`.
+    """
+    try:
+        size = check_whole_picture(encoded)
+    except TelemetryError:
+        _refuse_too_large(pixels(encoded))
+        raise
+    _refuse_too_large(size[0] * size[1])
+    try:
+        return decode(encoded), size
+    except ValueError as error:
+        raise TelemetryError("image does not decode", f" ({error})") from None
+
+
+def _refuse_too_large(size: int) -> None:
+    if size > MAX_PIXELS:
+        raise TelemetryError(f"image has more than {MAX_PIXELS:,} pixels", f" ({size:,})")
+
+
+class SteeringFilter:
+    """Exponential smoothing and a rate limit for steering in -1..1; it starts with the wheels straight.
+
+    `smooth_s` is the time constant of the smoothing (63 % of a jump after one, 95 % after three), `max_per_s` the
+    largest change in a second; 0 switches each off. The filter is in time, not in messages: 10 and 50 messages a
+    second give the same steering over time.
+    """
+
+    def __init__(self, smooth_s: float = 0.0, max_per_s: float = 0.0) -> None:
+        self._smooth_s = smooth_s
+        self._max_per_s = max_per_s
+        self._sent = 0.0
+        self._time_s = 0.0
+
+    def apply(self, time_s: float, wanted: float) -> float:
+        """The steering to send at `time_s`, which must not go back."""
+        passed_s = time_s - self._time_s
+        change = wanted - self._sent
+        if self._smooth_s:
+            change *= -math.expm1(-passed_s / self._smooth_s)
+        if self._max_per_s:
+            max_change = self._max_per_s * passed_s
+            change = min(max(change, -max_change), max_change)
+        # without a limit, exactly `wanted`: adding the difference would round
+        sent = wanted if change == wanted - self._sent else self._sent + change
+        self.override(time_s, sent)
+        return sent
+
+    def override(self, time_s: float, sent: float) -> None:
+        """Continue from the steering `sent`, which another driver has sent."""
+        self._sent, self._time_s = sent, time_s
+
 
 USUAL_SIZE: Final = (160, 320)  # height, width
 MIN_AHEAD_S: Final = 0.5

@@ -14,10 +14,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drive.control.course_events import PUT_BACK
+from drive.control.drive_clock import PUT_BACK
 from drive.evaluation.closed_loop import DriveResult
-from model.evaluation.block_bootstrap import Floats
-from model.evaluation.differences import CONFIDENCE, Difference, Measure, Verdict, compare_sums, overall
+from model.evaluation.differences import CONFIDENCE, Difference, Floats, Measure, Verdict, compare_sums, overall
 from recorder import Log
 from recorder.topics import EVENTS, POSE
 from simulator.driving.course import INTERVENTION_COST_S

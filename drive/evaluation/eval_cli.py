@@ -38,7 +38,7 @@ def _find_runs(config: Eval | EvalDrive | EvalCompare, *names: str | None) -> li
 
 
 def measure(config: Eval) -> int:
-    from drive.kept_drive import keep
+    from drive.driven_car import keep
     from model.runs.worst_pictures import worst_frames
 
     (run,) = _find_runs(config, config.run)
@@ -82,7 +82,7 @@ def _print_measured_on(measured_on: dict[str, str | None]) -> None:
 
 def _index_of(run: Path) -> Path:
     """The index that the run was trained on; if the run does not name it, index/ in the current folder."""
-    from model.runs.run_inputs import index_of, local_index_of
+    from model.runs.provenance import index_of, local_index_of
 
     index = index_of(run)
     if index is None:
@@ -138,14 +138,14 @@ def compare(config: EvalCompare) -> int:
 def _compare_on_frames(config: EvalCompare, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
     from model.evaluation.differences import overall
     from model.evaluation.run_comparison import Comparison
-    from model.runs.run_arguments import run_argument
+    from model.runs.run_files import run_argument
 
     measured_on, (evaluation_a, evaluation_b) = _evaluations(config.frames, [a, b])
     comparison = Comparison(evaluation_a.driving, evaluation_b.driving, config.tolerance or 0.0)
     if config.json:
         print_result(json.dumps({**measured_on, **comparison.as_dict()}))
     else:
-        from drive.evaluation.compare_report import print_comparison
+        from drive.evaluation.eval_report import print_comparison
 
         print_comparison(comparison, names)
         _print_measured_on(measured_on)
@@ -160,8 +160,8 @@ def _compare_on_frames(config: EvalCompare, a: Path, b: Path, names: tuple[str, 
 
 
 def _compare_by_driving(config: EvalCompare, a: Path, b: Path, names: tuple[str, str]) -> tuple[Verdict, int]:
-    from drive.evaluation.compare_report import print_drive_comparison
     from drive.evaluation.drive_comparison import TOLERANCE, DriveComparison
+    from drive.evaluation.eval_report import print_drive_comparison
 
     drives, logs = _drives(config.tracks, config.driving), config.driving.drives
     results = dict(_driven(config, [(a, logs / "a"), (b, logs / "b")], drives))
@@ -177,8 +177,8 @@ def _compare_by_driving(config: EvalCompare, a: Path, b: Path, names: tuple[str,
 
 
 def drive(config: EvalDrive) -> int:
+    from drive.driven_car import keep
     from drive.evaluation.eval_report import print_drives
-    from drive.kept_drive import keep
 
     # before the seconds that a network takes to load: a track may be misspelt
     drives = _drives(config.tracks, config.driving)
@@ -219,9 +219,8 @@ def _print_verdict(run: Path, evaluation: Evaluation | None = None) -> None:
 
 
 def _drives(tracks: Sequence[str], driving: DriveFlags) -> list[PlannedDrive]:
-    from drive.config import DriveConfig
-    from drive.errors import DriveError
-    from drive.evaluation.simulator_process import BuiltInSimulator, check_laps
+    from drive.config import DriveConfig, DriveError
+    from drive.evaluation.closed_loop import BuiltInSimulator, check_laps
 
     for flag, values in (("--tracks", tracks), ("--speed", driving.speed)):
         if len(set(values)) < len(values):

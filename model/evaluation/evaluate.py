@@ -30,8 +30,16 @@ from dataset.prediction_targets import STEERING_ONLY, TARGETS, TargetName, steer
 from dataset.preprocessing import Image
 from dataset.samples.samples_reader import Split
 from model.evaluation.predict import BATCH, predict_crops
-from model.evaluation.reaction_time import ReactionTime, reaction_time
-from model.metrics import Errors, Measures, TargetErrors, errors, measure, target_errors
+from model.metrics import (
+    Errors,
+    Measures,
+    ReactionTime,
+    TargetErrors,
+    errors,
+    measure,
+    reaction_time,
+    target_errors,
+)
 from model.runs.answer_scale import AnswerScale
 from model.runs.car_of_run import refuse_other_steering
 from model.runs.enough_to_drive import Hand

@@ -19,12 +19,12 @@ from dataset import MAX_STEERING_DEG
 from dataset.frames.split import block_numbers
 from dataset.prediction_targets import TARGETS, TargetName
 from dataset.steering_bins import BINS, bin_of
-from model.evaluation.block_bootstrap import Floats
 from model.evaluation.differences import (
     BLOCK_S,
     CONFIDENCE,
     MEASURES,
     Difference,
+    Floats,
     Measure,
     compare_sums,
     overall,

@@ -8,9 +8,9 @@ from typing import Final
 from common.errors import did_you_mean, printable
 
 BUILT_IN: Final = {
-    "original": "model.network.original:SteeringNetwork",
+    "original": "model.network.pilotnet:SteeringNetwork",
     "pilotnet": "model.network.pilotnet:PilotNet",
-    "small": "model.network.small:SmallNetwork",
+    "small": "model.network.pilotnet:SmallNetwork",
     "resnet18": "model.network.resnet18:ResNet18",
 }
 

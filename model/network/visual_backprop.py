@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.errors import RunError
+from model.network.picture_network import PictureNetwork
 
 Side = int | tuple[int, ...]
 
@@ -132,3 +133,26 @@ def _normalised(maps: Tensor) -> Tensor:
     low, high = maps.amin((1, 2), keepdim=True), maps.amax((1, 2), keepdim=True)
     span = high - low
     return torch.where((span > 0) & (span < torch.inf), (maps - low) / span, 0.0)
+
+
+@torch.inference_mode()
+def answers_and_features(network: PictureNetwork, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """The answers to inputs (N, channels, height, width), and features (N, D).
+
+    The features are the input of the second fully connected layer; of the first if there is only one; the
+    answers if there is none. Later layers hold little more than the steering.
+    """
+    layer_inputs: list[Tensor] = []
+
+    def called(layer: nn.Module, inputs: tuple[Any, ...]) -> None:
+        layer_inputs.append(inputs[0])
+
+    layers = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    hooks = [layer.register_forward_pre_hook(called) for layer in layers]
+    try:
+        answers = network(inputs)
+    finally:
+        for hook in hooks:
+            hook.remove()
+    features = layer_inputs[min(1, len(layer_inputs) - 1)] if layer_inputs else answers
+    return answers, features.flatten(1).float() if features.dim() > 1 else features[:, None].float()

@@ -29,8 +29,7 @@ from common.untrusted import read_bounded
 from model.adam import Adam
 from model.errors import RunError
 from model.runs.answer_scale import MAX_CURVE, MAX_OFFSET, MAX_SCALE, MIN_SCALE
-from model.runs.run_arguments import run_argument
-from model.runs.run_files import CHECKPOINT, LAST, replaced_file
+from model.runs.run_files import CHECKPOINT, LAST, replaced_file, run_argument
 
 FORMAT: Final = "2"
 READABLE: Final = ("1", "2")  # format 1 has neither the mean of the last steps' weights nor the answer scale

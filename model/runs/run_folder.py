@@ -36,14 +36,22 @@ from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import checkpoint_path, load_checksummed, position_of, save_checksummed
 from model.runs.network_of_run import NETWORK_FILE, choice_of, is_own_network, picture_of, stored_targets
-from model.runs.run_arguments import run_argument, suggest_runs
-from model.runs.run_config import FORMAT, is_last_weights, weights_path
-from model.runs.run_config import config_folder as config_folder
-from model.runs.run_config import load_config as load_config
-from model.runs.run_config import weights_checksum as weights_checksum
 from model.runs.run_files import CONFIG as CONFIG
-from model.runs.run_files import LAST, is_being_trained, replaced_file, run_write_errors
+from model.runs.run_files import (
+    FORMAT,
+    LAST,
+    is_being_trained,
+    is_last_weights,
+    replaced_file,
+    run_argument,
+    run_write_errors,
+    suggest_runs,
+    weights_path,
+)
 from model.runs.run_files import WEIGHTS as WEIGHTS
+from model.runs.run_files import config_folder as config_folder
+from model.runs.run_files import load_config as load_config
+from model.runs.run_files import weights_checksum as weights_checksum
 
 _REMEDY: Final = "copy it again, or train the run again"
 

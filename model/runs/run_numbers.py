@@ -19,9 +19,8 @@ from model.config import enough_passes
 from model.metrics import BinErrors, Measures
 from model.runs.enough_to_drive import Drivable, Hand, drivable
 from model.runs.history import parse_measures
-from model.runs.kept_results import KeptResult
 from model.runs.network_of_run import own_network_flag
-from model.runs.run_arguments import RUNS, run_argument
+from model.runs.run_files import RUNS, KeptResult, run_argument
 from model.runs.training_progress import Epoch
 
 _BUILT_IN_CAR: Final = {"max_steering_deg": MAX_STEERING_DEG, "wheelbase_m": BUILT_IN_WHEELBASE_M}

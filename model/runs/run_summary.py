@@ -19,10 +19,17 @@ from model.errors import RunError
 from model.metrics import Measures
 from model.runs.enough_to_drive import Hand
 from model.runs.history import read_epochs
-from model.runs.kept_results import KeptResult, kept_results
 from model.runs.network_of_run import stored_network, stored_targets
-from model.runs.run_config import config_folder, load_config, weights_checksum
-from model.runs.run_files import CONFIG, WEIGHTS, is_being_trained
+from model.runs.run_files import (
+    CONFIG,
+    WEIGHTS,
+    KeptResult,
+    config_folder,
+    is_being_trained,
+    kept_results,
+    load_config,
+    weights_checksum,
+)
 from model.runs.run_numbers import run_numbers
 from model.runs.training_progress import Epoch
 from model.runs.verdict import Verdict, verdict_of

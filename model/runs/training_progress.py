@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from common.car import MAX_STEERING_DEG
-from common.errors import decimal
+from common.errors import counted, decimal
+from common.output import print_result
 from model.config import Keep
 from model.metrics import Errors, Measures, TargetErrors
 from model.runs.answer_scale import AnswerScale
+
+if TYPE_CHECKING:
+    from model.config import Keep
+
 
 METRICS_FILE: Final = "metrics.jsonl"
 """One line an epoch: `Epoch.as_dict`."""
@@ -159,3 +164,41 @@ def _why_kept(epochs: Sequence[Epoch], best: Epoch, keep: Keep) -> list[str]:
         f"epoch {best.epoch:,} is kept for its {_NAMES[keep]} ({best_error:.2f} against {other_error:.2f})"
         f" and not {other}, which says little about bends where most of the road is straight"
     ]
+
+
+class EpochPrinter:
+    """Prints one line an epoch on stdout; before the first one, the errors of constant predictors."""
+
+    def __init__(self, keep: Keep) -> None:
+        """`keep` is how the training chooses the epoch that it keeps."""
+        self._has_begun = False
+        self._chooses = keep != "last"
+
+    def step(self, step: Step) -> None:
+        """Print nothing: the progress bar shows steps."""
+
+    def epoch(self, epoch: Epoch) -> None:
+        measures, unit = epoch.measures, epoch.measures.unit
+        if measures.frames and not self._has_begun:
+            print_result(
+                f"errors of {counted(measures.frames, 'frame')} held out, in {unit.name}; always the mean: RMSE"
+                f" {unit.of(measures.mean.rmse_deg):.2f}, always zero: {unit.of(measures.zero.rmse_deg):.2f}"
+            )
+        self._has_begun = True
+        validation = (
+            f" RMSE {decimal(unit.of(measures.network.rmse_deg), 2)}, balanced"
+            f" {decimal(unit.of(measures.balanced_rmse_deg), 2)},"
+            f" correlation {decimal(measures.network.correlation, 2)},"
+            if measures.frames
+            else " nothing held out,"
+        )
+        print_result(
+            f"epoch {epoch.epoch:>2}: loss {decimal(epoch.training_loss, 4)},{validation}"
+            f" {epoch.samples_per_s:,.0f} samples/s{', kept' if self._chooses and epoch.is_best else ''}"
+        )
+        for target in epoch.targets:
+            if target.frames:
+                print_result(f"          {target}")
+
+    def close(self) -> None:
+        """Nothing to close."""

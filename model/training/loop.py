@@ -33,7 +33,7 @@ from model.network.choice import NetworkChoice
 from model.network.picture_network import PictureNetwork
 from model.runs.answer_scale import AnswerScale
 from model.runs.checkpoint import Position, checkpoint_path, load_checkpoint, save_checkpoint
-from model.runs.run_arguments import run_argument
+from model.runs.run_files import run_argument
 from model.runs.training_progress import Epoch, Listener, Step
 from model.training.batches import make_batches
 from model.training.run_writer import RunWriter

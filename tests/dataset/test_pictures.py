@@ -29,7 +29,7 @@ from dataset import (
 from dataset.picture_spec import ORIGINAL, PictureSpec
 from dataset.preprocessing import Image
 from model.evaluation.predict import predict
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 from model.training.batches import KeptBatches
 from tests.helpers.driving import road_jpeg
 from tests.helpers.layouts import write_as_before

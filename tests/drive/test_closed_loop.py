@@ -13,9 +13,8 @@ import pytest
 from common.process_settings import usable_cores
 from drive.cli import main as drive_main
 from drive.config import DriveConfig
-from drive.evaluation.closed_loop import evaluate
+from drive.evaluation.closed_loop import BuiltInSimulator, evaluate
 from drive.evaluation.eval_cli import main as eval_main
-from drive.evaluation.simulator_process import BuiltInSimulator
 from model import load_pilot
 from recorder import Imported, Log, import_udacity
 from recorder.cli import main as record_main

@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 
 from drive.config import DriveConfig
-from drive.evaluation.closed_loop import DriveResult
+from drive.evaluation.closed_loop import BuiltInSimulator, DriveResult
 from drive.evaluation.drive_comparison import DriveComparison
 from drive.evaluation.eval_cli import main
-from drive.evaluation.simulator_process import BuiltInSimulator
 from recorder import LogWriter
 from recorder.log.writer import pose_message
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M

@@ -740,7 +740,7 @@ def test_a_drive_is_shown_in_a_file_while_it_goes_on(pilot_run: Path, tmp_path: 
 def test_what_the_disk_could_not_take_is_counted_and_said(
     pilot_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", 0)
+    monkeypatch.setattr("drive.log.drive_log.MAX_PICTURE_BYTES", 0)
     (port,) = free_ports(1)
     jpegs = [road_jpeg(i) for i in range(5)]
 

@@ -349,7 +349,7 @@ def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
     decisions = [decided(i, replace(WORLD, time_s=i / 25)) for i in range(100)]
     sizes = [len(d.telemetry.picture) + d.crop.nbytes for d in decisions if d.telemetry and d.crop is not None]
     kept = 7
-    monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", sum(sizes[:kept]))
+    monkeypatch.setattr("drive.log.drive_log.MAX_PICTURE_BYTES", sum(sizes[:kept]))
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
         log = DriveLog(writer)
         for decision in decisions:  # would never end if anything waited
@@ -373,7 +373,7 @@ def test_where_the_disk_stands_still_pictures_are_lost_before_commands(
 
 def test_pictures_come_back_when_the_disk_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.mcap"
-    monkeypatch.setattr("drive.log.log_thread.MAX_PICTURE_BYTES", 100_000)
+    monkeypatch.setattr("drive.log.drive_log.MAX_PICTURE_BYTES", 100_000)
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
         log = DriveLog(writer)
         for number in range(10):
@@ -393,7 +393,7 @@ def test_pictures_come_back_when_the_disk_does(tmp_path: Path, monkeypatch: pyte
 
 def test_rows_are_lost_only_when_far_more_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.mcap"
-    monkeypatch.setattr("drive.log.log_thread.MAX_WAITING", 20)
+    monkeypatch.setattr("drive.log.drive_log.MAX_WAITING", 20)
     with LogWriter(path, {"source": "drive"}, live=True) as writer, standing_disk(writer, monkeypatch) as goes_on:
         log = DriveLog(writer)
         for number in range(50):

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drive.control.driver import Decision
-from drive.log.drive_summary import DriveSummary
-from drive.log.latency_histogram import LARGEST_MS, RESOLUTION, SMALLEST_MS, LatencyHistogram
+from drive.log.drive_summary import LARGEST_MS, RESOLUTION, SMALLEST_MS, DriveSummary, LatencyHistogram
 from drive.log.summary_lines import LiveStatus, summary_lines
 from recorder.server.telemetry import Telemetry
 from recorder.server.world import World

@@ -17,11 +17,10 @@ from hypothesis import strategies as st
 from dataset import decode
 from dataset.prediction_targets import TARGET_NAMES, TARGETS, TargetName
 from drive.config import DriveConfig
-from drive.control.driver import Decision, Driver
+from drive.control.driver import MAX_PIXELS, Decision, Driver
 from drive.control.speed_controller import max_curve_speed_mph
-from drive.control.telemetry_picture import MAX_PIXELS
 from model import Pilot
-from model.network.small import SmallNetwork
+from model.network.pilotnet import SmallNetwork
 from recorder.server.world import World
 from simulator.driving.expert import BEND_MPS2
 from simulator.driving.vehicle import STEP_S, CarState, step

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from drive.control.course_events import CourseEvents
+from drive.control.drive_clock import CourseEvents
 from drive.control.takeover import HAND_BACK_S, Takeover
 from recorder.server.world import World
 from simulator.driving.course import Course

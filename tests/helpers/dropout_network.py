@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import nn
 
-from model.network.small import SmallNetwork
+from model.network.pilotnet import SmallNetwork
 
 
 class DropoutNetwork(SmallNetwork):

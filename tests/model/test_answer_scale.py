@@ -14,7 +14,7 @@ from safetensors.torch import load_file as load_tensors
 from dataset import IndexConfig, Loader, Samples, build_index
 from dataset.picture_spec import ORIGINAL
 from model import RunError, evaluate, load_pilot, train
-from model.network.small import SmallNetwork
+from model.network.pilotnet import SmallNetwork
 from model.onnx_export import export_onnx
 from model.runs.answer_scale import MAX_CURVE, MAX_SCALE, MIN_SCALE, AnswerScale
 from model.runs.checkpoint import save_checksummed

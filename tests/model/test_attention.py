@@ -12,7 +12,7 @@ from torch import nn
 
 from dataset import decode, preprocess
 from model.evaluation.predict import as_input
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
 from tests.helpers.driving import road_jpeg, untrained_run

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from drive.evaluation.eval_cli import main as bc_eval
-from model.runs.kept_results import keep_result
+from model.runs.run_files import keep_result
 from model.runs_cli import main as bc_runs
 from tests.helpers.driving import untrained_run
 from tests.helpers.histories import epoch_line

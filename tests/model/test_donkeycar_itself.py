@@ -17,7 +17,7 @@ import pytest
 
 from dataset import decode
 from model import load_pilot
-from model.donkeycar_export import export_to_donkeycar
+from model.onnx_export import export_to_donkeycar
 from recorder import Log
 from recorder.sources.recording_kinds import import_recording
 from tests.helpers.driving import road_jpeg, untrained_run

@@ -17,7 +17,7 @@ from dataset import decode
 from model import RunError, load_pilot, train
 from model.cli import main
 from model.hub_export import export_to_hub
-from model.runs.kept_results import keep_result
+from model.runs.run_files import keep_result
 from model.runs.run_folder import create_run, save_weights
 from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import road_jpeg, run_code, untrained_run

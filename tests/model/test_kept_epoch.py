@@ -14,7 +14,7 @@ from safetensors.numpy import load_file
 from model import Epoch, train
 from model.cli import main
 from model.config import Keep
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 from model.training.loop import AveragedWeights
 from tests.helpers.toy import SMALL, toy_index
 from tests.helpers.udacity import call

@@ -10,9 +10,8 @@ import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
 
-from model.evaluation.block_bootstrap import intervals
-from model.evaluation.reaction_time import reaction_time
-from model.metrics import constant_errors, errors, measure
+from model.evaluation.differences import intervals
+from model.metrics import constant_errors, errors, measure, reaction_time
 from tests.helpers.toy import STEERING
 
 

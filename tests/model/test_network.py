@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from torch import nn
 
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 
 
 def test_every_layer_has_the_parameters_of_the_design() -> None:

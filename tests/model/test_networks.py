@@ -23,8 +23,7 @@ from model.evaluation.evaluate import evaluate_runs
 from model.evaluation.predict import as_input
 from model.network.choice import choose_network
 from model.network.names import BUILT_IN
-from model.network.original import SteeringNetwork
-from model.network.small import SmallNetwork
+from model.network.pilotnet import SmallNetwork, SteeringNetwork
 from model.network.visual_backprop import visual_backprop
 from model.runs.run_folder import load_network
 from tests.helpers.driving import road_jpeg, untrained_run

@@ -14,7 +14,7 @@ import torch
 from dataset import decode
 from dataset.preprocessing import Image
 from model import Pilot, load_pilot
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SteeringNetwork
 from model.runs.run_folder import load_network
 from tests.helpers.driving import Process, road_jpeg, untrained_run
 

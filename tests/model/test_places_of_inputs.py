@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from model import train
+from model.runs.provenance import index_of, init_of, sessions_of
 from model.runs.run_folder import weights_checksum
-from model.runs.run_inputs import index_of, init_of, sessions_of
 from tests.helpers.driving import one_line_of, run, untrained_run
 from tests.helpers.toy import SMALL, toy_index
 

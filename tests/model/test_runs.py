@@ -14,8 +14,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from model import RunError, find_run, load_pilot
-from model.runs.run_arguments import new_run_name
-from model.runs.run_files import locked_for_training
+from model.runs.run_files import locked_for_training, new_run_name
 from model.runs.run_folder import create_run, find_any_run
 
 

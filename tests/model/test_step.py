@@ -19,9 +19,8 @@ from torch.nn import functional
 from model.adam import Adam
 from model.device import Machine
 from model.network.faster_layers import FasterLayers
-from model.network.original import SteeringNetwork
+from model.network.pilotnet import SmallNetwork, SteeringNetwork
 from model.network.replayed import record
-from model.network.small import SmallNetwork
 from model.training.step import TrainingSteps, training_step
 
 

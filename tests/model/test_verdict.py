@@ -19,7 +19,7 @@ from model.metrics import Measures, measure
 from model.runs.advice import advice
 from model.runs.answer_scale import AnswerScale
 from model.runs.enough_to_drive import EDGES, ON_ONE, STUDY, Hand, drivable, wilson_interval
-from model.runs.kept_results import keep_result
+from model.runs.run_files import keep_result
 from model.runs.run_numbers import RunNumbers, run_numbers
 from model.runs.training_progress import Epoch
 from model.runs.verdict import verdict_of

@@ -6,7 +6,7 @@ import html
 import re
 from pathlib import Path
 
-from model.runs.kept_results import keep_result
+from model.runs.run_files import keep_result
 from tests.helpers.logs import write_log
 from tests.helpers.runs import a_run
 from tests.helpers.waiting import wait_until

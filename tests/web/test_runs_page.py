@@ -17,8 +17,7 @@ import pytest
 
 from common.locks import lock
 from model.config import TrainConfig
-from model.runs.kept_results import keep_result
-from model.runs.run_files import TRAINING_LOCK
+from model.runs.run_files import TRAINING_LOCK, keep_result
 from recorder import Log
 from tests.helpers.driving import road_jpeg
 from tests.helpers.histories import epoch_line, write_lines

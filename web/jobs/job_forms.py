@@ -17,7 +17,7 @@ from common.recipe import IndexRecipe, Recipe
 from dataset.config import IndexConfig
 from model.config import Answers, Light, TrainConfig
 from model.network.names import BUILT_IN
-from model.runs.run_arguments import new_run_name
+from model.runs.run_files import new_run_name
 from recorder.sources.settings import TimeUnit
 from web.errors import WebError, or_404
 from web.folders.project_folders import Place, ProjectFolders, key_of, shown_name

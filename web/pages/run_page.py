@@ -23,7 +23,7 @@ from common.stored_settings import settings_from
 from common.untrusted import whole_number
 from model.config import TrainConfig
 from model.runs.network_of_run import is_own_network
-from model.runs.run_config import load_config
+from model.runs.run_files import load_config
 from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, key_of
 from web.jobs.job_forms import in_one_field

@@ -13,7 +13,7 @@ from starlette.routing import Route
 
 from common import UserError
 from common.errors import printable
-from model.runs.run_config import load_config
+from model.runs.run_files import load_config
 from model.runs_cli import SORTED_BY, different_frames, driven_words, in_order, marks_of_splits
 from web.pages.request_values import has_words
 from web.pages.workbench import Workbench

@@ -167,7 +167,7 @@ class _FeatureReader:
             return pixels, np.full(len(crops), np.nan)
         from dataset.prediction_targets import steering_in
         from model.evaluation.predict import as_input
-        from model.network.inner_features import answers_and_features
+        from model.network.visual_backprop import answers_and_features
 
         answers, features = answers_and_features(self._network, as_input(crops))
         if not (answers.isfinite().all() and features.isfinite().all()):

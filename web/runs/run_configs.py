@@ -19,8 +19,7 @@ from common.untrusted import read_bounded
 from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 from model.runs.network_of_run import is_own_network, network_flag, stored_network
-from model.runs.run_config import MAX_CONFIG_BYTES, load_config
-from model.runs.run_files import CONFIG
+from model.runs.run_files import CONFIG, MAX_CONFIG_BYTES, load_config
 from web.errors import WebError
 from web.folders.file_versions import version_of
 
