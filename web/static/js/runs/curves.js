@@ -64,7 +64,7 @@ function draw(runs) {
         });
       });
     });
-    if (!tables.length) continue;
+    if (!tables.some(([x]) => x.length > 1)) continue; // a single epoch is no curve
     const figure = section.appendChild(make("div", {}, make("h2", {}, title)));
     const axis = { stroke: color("--text"), grid: { stroke: color("--line"), width: 1 }, ticks: { stroke: color("--line") } };
     plots.push(
