@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import Final, Literal, overload
+from typing import TYPE_CHECKING, Final, Literal, overload
 
 import msgspec
 import numpy as np
@@ -28,7 +28,9 @@ from recorder.log.reader import Log
 from recorder.rows.label_plan import goes_by_lag, machine_of
 from recorder.rows.row_quality import States, Values, elapsed_s
 from recorder.rows.steering_habits import LagFinding, SteeringLag
-from recorder.seen.far_field import WIDTH_PX, FarField, PictureLog, rows_apart
+
+if TYPE_CHECKING:
+    from recorder.seen.far_field import PictureLog
 
 MAX_PICTURES: Final = 1500  # decoded, even in long sessions: half a second of one core
 _STEP_S: Final = 0.05
@@ -44,6 +46,8 @@ _SURE: Final = 0.95
 def measure_lag(log: PictureLog, states: States) -> SteeringLag | None:
     """Measure the lag in the centre camera's pictures of these rows, without unreadable ones. None if they do not
     show it: too few pictures of a moving car, too far apart, or nothing that moves with the steering."""
+    from recorder.seen.far_field import FarField, rows_apart  # OpenCV
+
     states = states.part(np.abs(states.steering) <= 1)  # False for NaN too
     time_s = elapsed_s(states.time_ns)
     pairs = rows_apart(states, time_s, MAX_PICTURES)
@@ -62,6 +66,8 @@ def _best_lag(
     middle_s = time_s[pairs].mean(axis=1)
     speed = np.where(np.isfinite(states.speed_mph), states.speed_mph, 1.0)
     steered = np.stack([np.interp(middle_s + lag_s, time_s, states.steering * speed) for lag_s in _LAGS_S])
+    from recorder.seen.far_field import WIDTH_PX
+
     is_known = np.abs(yaw_px) < WIDTH_PX / 4  # False for NaN; larger shifts are no match
     if is_known.sum() < _MIN_PAIRS:
         return None
