@@ -17,11 +17,11 @@ from drive.log.summary_lines import LiveStatus
 from model import Pilot
 from recorder import LogWriter
 from recorder.log.tags import Tag
+from recorder.log.writer import close_with_tags
 from recorder.server.in_flight import RunningClock
 from recorder.server.telemetry_server import Answer, Steer
 from recorder.teleop.pedals import WALKING_MPH
 from recorder.topics import DRIVE_METADATA
-from recorder.upkeep.derived_log import close_with_tags
 
 WATCHDOG_S: Final = 1.0
 """The silence after which a command is sent: if all telemetry is lost, Udacity's simulator sends more only after a

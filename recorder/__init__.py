@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from recorder.log.reader import Log
     from recorder.log.writer import LogWriter
     from recorder.mcap.picture_places import Pictures
+    from recorder.sources.import_recording import import_udacity
     from recorder.sources.imported_rows import Imported
-    from recorder.sources.recording_kinds import import_udacity
 
 __all__ = ["Imported", "Log", "LogError", "LogWriter", "Pictures", "RecordingError", "import_udacity"]
 
@@ -22,6 +22,6 @@ __getattr__, __dir__ = lazy_names(
         "Log": "recorder.log.reader",
         "LogWriter": "recorder.log.writer",
         "Pictures": "recorder.mcap.picture_places",
-        "import_udacity": "recorder.sources.recording_kinds",
+        "import_udacity": "recorder.sources.import_recording",
     },
 )

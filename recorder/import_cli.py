@@ -72,7 +72,7 @@ def _import(config: Import) -> int:
 
 def _import_to(config: Import, log: Path) -> Imported:
     from recorder.log.session_car import named_car  # NumPy, Arrow, Protobuf, OpenCV
-    from recorder.sources.recording_kinds import import_recording, refuse_to_watch
+    from recorder.sources.import_recording import import_recording, refuse_to_watch
     from recorder.sources.udacity_follow import watch_udacity
 
     car = None if config.car is None else named_car(config.car)

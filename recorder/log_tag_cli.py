@@ -102,7 +102,7 @@ class NameRows:
             states = states_of(log)
             odd = odd_stretches(states) if self.odd else []
             if self.look:
-                from recorder.seen.shown_stretches import with_pictures  # OpenCV
+                from recorder.seen.picture_stretches import with_pictures  # OpenCV
 
                 odd = with_pictures(log, states, odd)
         if self.where is not None:

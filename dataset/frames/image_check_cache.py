@@ -52,7 +52,7 @@ def check_images(
     `on_decoded` is called with the number of pictures decoded since the last call. Raises LogError if the log is
     damaged.
     """
-    from recorder.seen.shown_stretches import against_pictures  # OpenCV
+    from recorder.seen.picture_stretches import against_pictures  # OpenCV
 
     topics = {camera: camera_topic(camera) for camera in CAMERAS}
     with ThreadPoolExecutor(threads or usable_cores()) as pool:

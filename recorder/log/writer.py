@@ -8,7 +8,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, Self
@@ -33,6 +33,8 @@ from recorder.bc_pb2 import PilotCommand, Prediction, VehicleState
 from recorder.errors import LogError, recovery
 from recorder.log.findings import WrittenRows
 from recorder.log.meant_gaps import MeantGap
+from recorder.log.reader import Log
+from recorder.log.tags import Tag, add_tags
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.split_chunks import CopiedChannels, SplitChunks
 from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
@@ -383,3 +385,16 @@ class LogWriter:
 
 def _utf8(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def close_with_tags(writer: LogWriter, tags: Sequence[Tag]) -> None:
+    """Finish a log. Once it has its name, it has its tags."""
+    with uninterrupted():
+        writer.close()
+        write_tags(writer.path, tags)
+
+
+def write_tags(log: Path, tags: Sequence[Tag]) -> None:
+    if tags:
+        with Log(log) as written:
+            add_tags(log, written.fingerprint, tags)

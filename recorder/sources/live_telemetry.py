@@ -28,7 +28,7 @@ from recorder.log.meant_gaps import (
     MeantGap,
 )
 from recorder.log.session_car import UDACITY, Car, metadata_of
-from recorder.log.writer import EventLevel, LogWriter, log_beside
+from recorder.log.writer import EventLevel, LogWriter, close_with_tags, log_beside
 from recorder.server.locale_numbers import POINT
 from recorder.server.telemetry import (
     Telemetry,
@@ -45,7 +45,6 @@ from recorder.sources.settings import ListenSettings
 from recorder.teleop.frame_state import hello
 from recorder.teleop.wheel import Wheel
 from recorder.topics import PERSON_METADATA, Device
-from recorder.upkeep.derived_log import close_with_tags
 
 MAX_ROW_S = 0.2  # between two rows of a driven simulator; longer times were not recorded
 MAX_SIMULATORS = 8  # at once, each with its own log

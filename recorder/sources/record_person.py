@@ -25,7 +25,7 @@ from common.streams import never_wait
 from recorder.bc_pb2 import VehicleState
 from recorder.errors import RecordingError
 from recorder.log.meant_gaps import MeantGap
-from recorder.log.writer import EventLevel, LogWriter, pose_message
+from recorder.log.writer import EventLevel, LogWriter, close_with_tags, pose_message
 from recorder.sources.built_in_simulator import simulation_on, simulator_metadata
 from recorder.sources.eye_pictures import EYE_HZ, EyeMoment, EyePictures, WhenDue
 from recorder.sources.imported_rows import Imported
@@ -36,7 +36,6 @@ from recorder.teleop.pedals import STANDING_MPH, CoursePedals
 from recorder.teleop.seat import Control
 from recorder.teleop.wheel import Request, Wheel
 from recorder.topics import PERSON_METADATA, device_value
-from recorder.upkeep.derived_log import close_with_tags
 from simulator.driving.simulation import Simulation
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose

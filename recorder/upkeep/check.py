@@ -93,7 +93,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
         shown = None if lag is None else lag.lag
         if look and has_rows and isinstance(path, Path):
             from recorder.log.known_lag import measure_lag
-            from recorder.seen.shown_stretches import with_pictures  # OpenCV
+            from recorder.seen.picture_stretches import with_pictures  # OpenCV
             from recorder.upkeep.swapped_cameras import same_pictures, swapped_cameras
 
             if states is None:

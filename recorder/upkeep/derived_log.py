@@ -16,8 +16,8 @@ from common.versions import version_of
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
-from recorder.log.tags import Tag, add_tags
-from recorder.log.writer import LogWriter
+from recorder.log.tags import Tag
+from recorder.log.writer import LogWriter, write_tags
 from recorder.mcap.picture_places import is_about_places
 
 LAST_ROW: Final = 2**32 - 1  # MCAP's sequence numbers have 32 bits
@@ -76,12 +76,6 @@ def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:
     return clipped
 
 
-def close_with_tags(writer: LogWriter, tags: Sequence[Tag]) -> None:
-    with uninterrupted():  # a log that has its name has its tags
-        writer.close()
-        _write_tags(writer.path, tags)
-
-
 def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequence[Tag]], overwrite: bool) -> None:
     """Give the finished logs their names and tags: all or none; with `overwrite`, those before a failure stay."""
     published: list[Path] = []
@@ -99,10 +93,4 @@ def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequenc
             ) from None
         finally:
             for target, target_tags in zip(published, tags, strict=False):  # a log that has its name has its tags
-                _write_tags(target, target_tags)
-
-
-def _write_tags(path: Path, tags: Sequence[Tag]) -> None:
-    if tags:
-        with Log(path) as log:
-            add_tags(path, log.fingerprint, tags)
+                write_tags(target, target_tags)

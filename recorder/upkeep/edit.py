@@ -26,13 +26,12 @@ from recorder.errors import LogError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tags import Tag, tags_of
-from recorder.log.writer import LogWriter
+from recorder.log.writer import LogWriter, close_with_tags
 from recorder.mcap.compressed_image import is_image_channel
 from recorder.rows.row_quality import drive_numbers
 from recorder.upkeep.derived_log import (
     LAST_ROW,
     Written,
-    close_with_tags,
     copy_rest,
     new_log,
     publish_all,

@@ -19,11 +19,12 @@ from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, bad_rows, read_tags
+from recorder.log.writer import close_with_tags
 from recorder.mcap.mcap_file import Chunk
 from recorder.rows.odd_stretches import rows_named
 from recorder.upkeep.check_contents import MISFIT
 from recorder.upkeep.check_structure import is_damaged_beside_chunks
-from recorder.upkeep.derived_log import Written, close_with_tags, copy_rest, new_log, refuse_taken, tags_of_rows
+from recorder.upkeep.derived_log import Written, copy_rest, new_log, refuse_taken, tags_of_rows
 
 _MISSING: Final = "stretches of rows that are missing"
 _NO_ROW: Final = 2**32  # numbers have 32 bits

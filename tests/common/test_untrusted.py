@@ -26,9 +26,9 @@ from dataset.index.build_state import BuildState, read_state
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.picture_size import decodes
+from recorder.sources.import_recording import import_recording
 from recorder.sources.imported_rows import Imported
 from recorder.sources.mcap_messages import decoder_for
-from recorder.sources.recording_kinds import import_recording
 from recorder.sources.ros2_bag import yaml_content
 from recorder.sources.udacity_follow import watch_udacity
 from recorder.sources.udacity_recording import read_udacity

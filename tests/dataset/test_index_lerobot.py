@@ -18,7 +18,7 @@ from dataset.index_export import export_index
 from recorder import Log
 from recorder.lerobot.export import Exported
 from recorder.log.tags import Tag, add_tags
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from tests.helpers.bucket import serving_bucket
 from tests.helpers.driving import one_line_in
 from tests.helpers.lerobot_logs import jpeg, steering, write_drives

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from recorder import Imported
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from recorder.sources.settings import ImportSettings
 
 

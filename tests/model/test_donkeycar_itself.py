@@ -19,7 +19,7 @@ from dataset import decode
 from model import load_pilot
 from model.onnx_export import export_to_donkeycar
 from recorder import Log
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from tests.helpers.driving import road_jpeg, untrained_run
 from tests.helpers.needs import DONKEYCAR_PYTHON
 from tests.helpers.ports import free_ports

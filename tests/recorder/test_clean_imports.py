@@ -12,7 +12,7 @@ from typing import Final
 import pytest
 
 from recorder import Imported, RecordingError
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from recorder.sources.settings import ImportSettings
 from tests.helpers.logs import read_messages
 from tests.helpers.recorded_formats import COLUMNS, FORMATS, Row, as_csv, as_mcap, as_udacity

@@ -22,8 +22,8 @@ from recorder.bc_pb2 import VehicleState
 from recorder.pictures.image_check import ImageCheck
 from recorder.pictures.picture_size import MAX_PIXELS, width_and_height
 from recorder.sources.compressed_video import VideoDecoder, is_video_type, video_in
+from recorder.sources.import_recording import import_recording
 from recorder.sources.mcap_messages import FieldError, decoder_for
-from recorder.sources.recording_kinds import import_recording
 from recorder.sources.ros2_bag import SqliteFile
 from recorder.sources.settings import ImportSettings
 from recorder.upkeep.check import check

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from recorder import RecordingError, import_udacity
 from recorder.import_cli import main
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from tests.helpers.driving import one_line_in
 from tests.helpers.logs import read_messages
 from tests.helpers.other_logs import write_bag

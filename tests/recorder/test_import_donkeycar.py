@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from recorder import Imported, Log, RecordingError
 from recorder.sources.donkeycar_tub import is_tub
+from recorder.sources.import_recording import import_recording
 from recorder.sources.picture_folder import MISSING
-from recorder.sources.recording_kinds import import_recording
 from tests.helpers.logs import read_messages
 from tests.helpers.tubs import FIRST_MS, jpeg, name_1, name_2, record_1, record_2, write_tub_1, write_tub_2
 

@@ -21,7 +21,7 @@ from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import MeantGap
 from recorder.log.session_car import Car, metadata_of, stored_car
 from recorder.rows.row_quality import drive_numbers
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from recorder.sources.settings import ImportSettings
 from recorder.upkeep.check import check
 from recorder.upkeep.log_info import describe

@@ -29,7 +29,7 @@ from rosbags.rosbag2 import StoragePlugin
 from common import UserError
 from recorder import Imported, Log, LogError, RecordingError
 from recorder.sources.find_recording import kind_of
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from recorder.sources.settings import ImportSettings
 from tests.helpers.imports import topics
 from tests.helpers.logs import flip_bit, read_messages

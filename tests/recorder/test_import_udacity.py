@@ -12,7 +12,7 @@ from common.car import CAMERAS
 from recorder import Imported, RecordingError, import_udacity
 from recorder.cli import main as bc_record
 from recorder.import_cli import main
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from tests.helpers.driving import one_line_in
 from tests.helpers.logs import read_messages
 from tests.helpers.udacity import call, jpeg, make_recording, paths, picture_name

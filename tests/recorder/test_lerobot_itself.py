@@ -18,7 +18,7 @@ import pytest
 from common.car import CAMERAS
 from recorder import Log
 from recorder.lerobot.export import export_lerobot
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from tests.helpers.lerobot_logs import DRIVES, TIMES_NS, jpeg, steering, write_drives
 from tests.helpers.needs import LEROBOT_PYTHON
 from tests.helpers.repository import ROOT

@@ -26,8 +26,8 @@ from recorder.lerobot.export import export_lerobot
 from recorder.log.meant_gaps import MeantGap
 from recorder.log.tags import Tag, read_tags
 from recorder.sources.built_in_simulator import record_simulated
+from recorder.sources.import_recording import import_recording
 from recorder.sources.record_gymnasium import GymRecording, record_gymnasium
-from recorder.sources.recording_kinds import import_recording
 from recorder.sources.settings import GymFlags, SimulatedDrive
 from recorder.upkeep.edit import merge, rewrite, split, trim
 from recorder.upkeep.recover import recover

@@ -11,7 +11,7 @@ import pytest
 
 from recorder import Imported, Log, LogWriter, RecordingError, import_udacity
 from recorder.import_cli import main
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from recorder.sources.settings import ImportSettings
 from recorder.sources.udacity_follow import watch_udacity
 from tests.helpers.driving import one_line_in

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from recorder.sources.find_recording import recordings_in
-from recorder.sources.recording_kinds import import_udacity, summarize_recording
+from recorder.sources.import_recording import import_udacity, summarize_recording
 from tests.helpers import other_logs, tubs
 from tests.helpers.logs import write_log
 from tests.helpers.udacity import make_recording, paths

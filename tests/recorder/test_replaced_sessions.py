@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 from common import UserError
 from recorder import import_udacity
 from recorder.sources.built_in_simulator import record_simulated
-from recorder.sources.recording_kinds import import_recording
+from recorder.sources.import_recording import import_recording
 from recorder.sources.settings import SimulatedDrive
 from tests.helpers.lerobot_folders import as_image, image_feature, numbers_feature, write_dataset
 from tests.helpers.logs import read_messages

@@ -17,7 +17,7 @@ from recorder import Log
 from recorder.import_cli import main as bc_import
 from recorder.log.road_places import states_of
 from recorder.log_cli import main as bc_log
-from recorder.seen.shown_stretches import against_pictures
+from recorder.seen.picture_stretches import against_pictures
 from recorder.upkeep.check import check
 from tests.helpers.panorama import RATE_HZ, Seconds, hand, views, write_drive
 from tests.helpers.udacity import call

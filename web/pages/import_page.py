@@ -23,8 +23,8 @@ from recorder import Log, LogError
 from recorder.log.tags import tags_path
 from recorder.new_session import plain_name
 from recorder.sources.find_recording import folders_in, recordings_in
+from recorder.sources.import_recording import RecordingSummary, summarize_recording
 from recorder.sources.mcap_recording import is_own_log
-from recorder.sources.recording_kinds import RecordingSummary, summarize_recording
 from web.errors import WebError, or_404
 from web.folders.project_folders import key_of
 from web.folders.uploads import MAX_FILES, MAX_UPLOAD_BYTES, Upload, remove_upload, uploads_in

@@ -14,7 +14,7 @@ from recorder.bc_pb2 import VehicleState
 from recorder.log_cli import main
 from recorder.rows.odd_stretches import OddStretch, odd_stretches
 from recorder.rows.row_quality import States
-from recorder.seen.shown_stretches import with_pictures
+from recorder.seen.picture_stretches import with_pictures
 from tests.helpers.logs import START_NS
 from tests.helpers.panorama import RATE_HZ, hand, views, write_drive
 from tests.helpers.udacity import call
