@@ -59,18 +59,18 @@ def test_it_is_named_at_the_import_and_not_learnt(
     speeds = [line.rpartition(",")[2] for line in Path("student/driving_log.csv").read_text().splitlines()]
     assert min(map(float, speeds)) >= 0  # the simulator's have no sign
     assert call(bc_import, "student", "student") == 0
-    said = capsys.readouterr().err
-    assert "odd: driving backwards: rows " in said
-    assert "`bc-log tag sessions/student.mcap exclude --odd` excludes all that is sure" in said
+    printed = capsys.readouterr().err
+    assert "odd: driving backwards: rows " in printed
+    assert "`bc-log tag sessions/student.mcap exclude --odd` excludes all that is sure" in printed
     assert call(bc_log, "ls") == 0
     assert "backwards" in capsys.readouterr().out
 
     assert call(bc_index, "--validation-share", 0) == 0
-    said = capsys.readouterr().err
-    assert "neither learnt nor held out: student (" in said
-    assert "of driving backwards" in said
+    printed = capsys.readouterr().err
+    assert "neither learnt nor held out: student (" in printed
+    assert "of driving backwards" in printed
     assert not_learnt_in(Path("index")) == [
-        line for line in said.splitlines() if line.startswith("neither learnt")
+        line for line in printed.splitlines() if line.startswith("neither learnt")
     ]
 
     def learnt(index: str) -> set[int]:

@@ -126,12 +126,12 @@ def test_the_files_that_a_page_names_are_there(name: str) -> None:
     assert missing == set()
 
 
-def test_what_workflows_and_pages_tell_to_run_exists() -> None:
+def test_what_workflows_and_pages_show_to_run_exists() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     workflows = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
     texts = [path.read_text(encoding="utf-8") for path in (*PAGES, *workflows, ROOT / ".ci" / "run")]
-    told = re.findall(r"(?:`|^ *|run: )make (?:-j )?([a-z -]+?)(?=`|\s+#|$)", "\n".join(texts), re.MULTILINE)
-    assert set(" ".join(told).split()) - targets == set()
+    reported = re.findall(r"(?:`|^ *|run: )make (?:-j )?([a-z -]+?)(?=`|\s+#|$)", "\n".join(texts), re.MULTILINE)
+    assert set(" ".join(reported).split()) - targets == set()
     program = re.compile(r"(?<!:)\b((?:tests|docs|benchmarks|studies)/[\w/]+\.py)")  # not COMMIT:path
     paths = {path for text in texts for path in program.findall(text)}
     assert {path for path in paths if not (ROOT / path).exists()} == set()

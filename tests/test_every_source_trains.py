@@ -67,12 +67,12 @@ def test_tubs_of_both_versions_a_bag_and_an_environment_are_trained_on(
     monkeypatch.chdir(tmp_path)
     for name, (command, write) in SOURCES.items():
         assert call(command, *write(tmp_path / name)) == 0
-        said = capsys.readouterr()
+        printed = capsys.readouterr()
         first = (
             r"1 episode driven to the end, with a reward of .*\n" if name == "race" else f".*{PICTURES} rows, .*\n"
         )
-        assert re.fullmatch(f"{first}next: .*\n", said.err)
-        assert f"{PICTURES} rows, {PICTURES} pictures" in said.out
+        assert re.fullmatch(f"{first}next: .*\n", printed.err)
+        assert f"{PICTURES} rows, {PICTURES} pictures" in printed.out
     # some seconds of driving: the usual blocks, and the margin around them, would leave nothing to train on
     assert call(bc_index, "--block-s", 1, "--gap-s", 0, "--no-balance", "--no-flip") == 0
     samples = pq.read_table(tmp_path / "index" / "samples.parquet")
@@ -93,8 +93,8 @@ def test_what_learnt_from_tubs_goes_to_the_car(
     assert call(bc_index, "--block-s", 1, "--gap-s", 0) == 0
     few = ("--network", "small", "--epochs", 1, "--batch", 32, "--threads", 1)
     assert call(bc_train, *few, "--name", "first") == 0
-    said = capsys.readouterr().out.replace(".venv/bin/", "")
-    assert "; drive with `bc-train export first --donkeycar car`" in said
-    assert "bc-drive" not in said
+    printed = capsys.readouterr().out.replace(".venv/bin/", "")
+    assert "; drive with `bc-train export first --donkeycar car`" in printed
+    assert "bc-drive" not in printed
     assert call(bc_train, "export", "first", "--donkeycar", "car") == 0
     assert Path("car/first.onnx").is_file()

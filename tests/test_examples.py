@@ -197,8 +197,8 @@ def test_foxglove_is_sent_every_message_as_it_is(tmp_path: Path) -> None:
     try:
         url = f"ws://127.0.0.1:{server.port}"
         with connect(url, subprotocols=[Subprotocol("foxglove.sdk.v1")], open_timeout=PATIENCE_S) as client:
-            told = {message["id"]: message for message in advertised(client, len(channels))}
-            wanted = [{"id": number, "channelId": number} for number in told]
+            reported = {message["id"]: message for message in advertised(client, len(channels))}
+            wanted = [{"id": number, "channelId": number} for number in reported]
             client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
             wait_until(lambda: listener.topics == set(messages))
             play_to_foxglove(path, channels, speed=1e9)
@@ -206,21 +206,24 @@ def test_foxglove_is_sent_every_message_as_it_is(tmp_path: Path) -> None:
                 content = client.recv(PATIENCE_S)
                 assert isinstance(content, bytes)
                 number, time_ns = struct.unpack_from("<xIQ", content)  # Foxglove's protocol: its message data
-                received[told[number]["topic"]].append((time_ns, content[13:]))
+                received[reported[number]["topic"]].append((time_ns, content[13:]))
     finally:
         server.stop()
     assert received == {
         topic: [(message.log_time, message.data) for message, _ in sent] for topic, sent in messages.items()
     }
-    assert {message["schemaName"] for message in told.values()} == {"bc.VehicleState", "foxglove.CompressedImage"}
+    assert {message["schemaName"] for message in reported.values()} == {
+        "bc.VehicleState",
+        "foxglove.CompressedImage",
+    }
 
 
 def advertised(client: ClientConnection, count: int) -> list[dict[str, Any]]:
     """The topics that a server tells of when somebody has connected."""
     channels: list[dict[str, Any]] = []
     while len(channels) < count:
-        told = json.loads(client.recv(PATIENCE_S))
-        channels += told["channels"] if told["op"] == "advertise" else []
+        reported = json.loads(client.recv(PATIENCE_S))
+        channels += reported["channels"] if reported["op"] == "advertise" else []
     return channels
 
 

@@ -43,20 +43,20 @@ def test_this_version_has_files_and_all_of_them_are_small() -> None:
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_logs_have_their_rows_and_pictures(version: str) -> None:
-    told, path = expected(version), DATA / version / "toy.mcap"
+    reported, path = expected(version), DATA / version / "toy.mcap"
     with Log(path) as log:
         assert log.metadata["toolkit"] == version
-        assert log.vehicle()["steering"].to_pylist() == told["steering"]
-        assert [hashlib.sha256(log.picture(row)).hexdigest() for row in ROWS] == told["pictures"]
+        assert log.vehicle()["steering"].to_pylist() == reported["steering"]
+        assert [hashlib.sha256(log.picture(row)).hexdigest() for row in ROWS] == reported["pictures"]
     assert not check(path).findings
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_indexes_are_learnt_from_as_they_are_and_built_anew(version: str, tmp_path: Path) -> None:
-    told, folder = expected(version), DATA / version
+    reported, folder = expected(version), DATA / version
     with Samples(folder / "index") as samples:
-        assert samples.fingerprint == told["fingerprint"]
-        np.testing.assert_allclose(samples.table["label"], told["labels"], atol=1e-6)
+        assert samples.fingerprint == reported["fingerprint"]
+        np.testing.assert_allclose(samples.table["label"], reported["labels"], atol=1e-6)
     with load(folder / "index", batch=8) as loader:
         assert next(loader.epoch(1)).pictures.shape == (8, 128, 128, 3)
     copy = shutil.copytree(folder, tmp_path / version)

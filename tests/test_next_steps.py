@@ -56,10 +56,10 @@ def test_what_is_odd_is_excluded_first_and_then_looked_at(capsys: pytest.Capture
     capsys.readouterr()
     for arguments in (["ls"], ["info", "b c"], ["check", "--no-look", "b c"]):
         assert call(bc_log, *arguments) == 0  # no finding is left
-        said = capsys.readouterr()
-        assert said.err.replace(".venv/bin/", "").splitlines()[-1] == "next: `bc-index`"
-        assert "--odd" not in said.out
-        assert ("1 odd stretch is excluded" in said.out) == (arguments != ["ls"])
+        printed = capsys.readouterr()
+        assert printed.err.replace(".venv/bin/", "").splitlines()[-1] == "next: `bc-index`"
+        assert "--odd" not in printed.out
+        assert ("1 odd stretch is excluded" in printed.out) == (arguments != ["ls"])
     for command in ("ls", "info", "check"):
         call(bc_log, command, "sessions/a.mcap", "--json")
         assert capsys.readouterr().err == ""

@@ -177,7 +177,7 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Pa
     assert len(list((tmp_path / "there").iterdir())) == 2
 
 
-def test_a_cluster_of_another_version_is_told(tmp_path: Path, small_cluster: Any) -> None:
+def test_a_cluster_of_another_version_is_reported(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", sessions=1)
     arguments = ["bc-index", "--ray", small_cluster.address]
     code = f"import sys, ray; ray.__version__ = '2.0.0'; sys.argv = {arguments}\n"
@@ -225,7 +225,7 @@ def test_calls_for_a_gpu_have_one_each_or_are_refused(cluster: Any) -> None:
 
 
 @pytest.mark.long
-def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
+def test_a_node_without_the_toolkit_is_reported(tmp_path: Path) -> None:
     drives(tmp_path / "sessions", sessions=2)
     venv.create(tmp_path / "bare", with_pip=False)
     packages = next((tmp_path / "bare").rglob("site-packages"))
@@ -241,7 +241,7 @@ def test_a_node_without_the_toolkit_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["", pytest.param("ray://", marks=pytest.mark.long)])
-def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: str) -> None:
+def test_an_address_that_does_not_answer_is_reported_soon(tmp_path: Path, scheme: str) -> None:
     drives(tmp_path / "sessions", sessions=1)
     with socket.create_server(("127.0.0.1", 0)) as mute:
         address = f"{scheme}127.0.0.1:{mute.getsockname()[1]}"
@@ -252,7 +252,7 @@ def test_an_address_that_does_not_answer_is_told_soon(tmp_path: Path, scheme: st
     assert done.returncode == 1
 
 
-def test_a_cluster_with_a_token_that_is_not_here_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_with_a_token_that_is_not_here_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RAY_AUTH_MODE", "token")
     monkeypatch.setenv("HOME", str(tmp_path))
     drives(tmp_path / "sessions", sessions=1)
@@ -282,7 +282,7 @@ def test_the_message_of_a_dead_node_is_one_line_on_stderr(capsys: pytest.Capture
     assert (shown.out, shown.err) == ("", "--ray: Raylet is terminated: 7\n")
 
 
-def test_an_address_where_nothing_listens_or_something_else_does_is_told() -> None:
+def test_an_address_where_nothing_or_something_else_listens_is_reported() -> None:
     gone = f"127.0.0.1:{free_ports(1)[0]}"
     with pytest.raises(ClusterError, match=f"--ray {gone}: the cluster cannot be reached"), cluster_tasks(gone):
         pass

@@ -37,7 +37,7 @@ def test_the_loop_waits_for_nobody_and_uses_what_it_has_made() -> None:
 
 
 @pytest.mark.parametrize("line", re.findall(r"^.*install.*constraints\.txt.*$", README, re.MULTILINE))
-def test_what_it_shows_is_installed_by_what_it_says(line: str) -> None:
+def test_what_it_shows_is_installed_by_what_it_reports(line: str) -> None:
     assert line.endswith(" .")  # no extra
     assert [text for text in NEEDS if text in README] == []
 

@@ -95,7 +95,7 @@ def test_every_folder_with_code_is_a_room() -> None:
     assert folders == set(MAY_IMPORT)
 
 
-def test_the_architecture_tells_the_rooms_and_their_folders_in_this_order() -> None:
+def test_the_architecture_shows_the_rooms_and_their_folders_in_this_order() -> None:
     page = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) ?\|$", page, re.MULTILINE)
     below = {room: set(re.findall(r"`(\w+)`", names)) for room, names, _ in rows}
@@ -103,7 +103,7 @@ def test_the_architecture_tells_the_rooms_and_their_folders_in_this_order() -> N
     assert {room: re.findall(r"`(\w+)`", names) for room, _, names in rows} == FOLDERS
 
 
-def test_every_folder_of_a_room_is_told() -> None:
+def test_every_folder_of_a_room_is_reported() -> None:
     folders = {room: {path.parent.name for path in (ROOT / room).glob("*/__init__.py")} for room in MAY_IMPORT}
     assert {room: set(names) for room, names in FOLDERS.items()} == folders
 

@@ -170,7 +170,7 @@ def test_commands_do_not_mind_what_lies_in_the_working_folder(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "reported"),
     [
         ("MemoryError()", "not enough memory; close"),
         ("MemoryError('malloc of 5 GB failed')", "not enough memory (malloc of 5 GB failed); close"),
@@ -178,11 +178,11 @@ def test_commands_do_not_mind_what_lies_in_the_working_folder(tmp_path: Path) ->
         ("RuntimeError('CUDA out of memory. Tried')", "not enough memory (CUDA out of memory. Tried); close"),
     ],
 )
-def test_no_memory_is_one_line(error: str, told: str) -> None:
+def test_no_memory_is_one_line(error: str, reported: str) -> None:
     done = run_action(f"raise {error}")
     assert done.returncode == 1
     [line] = done.stderr.splitlines()
-    assert line.startswith(f"bc-test: {told}")
+    assert line.startswith(f"bc-test: {reported}")
 
 
 def test_bad_usage_has_an_exit_code_of_its_own() -> None:

@@ -60,7 +60,7 @@ def test_an_inner_block_defers_a_signal_for_the_outer_one() -> None:
         assert stopped.is_set()
 
 
-def test_an_error_is_told_and_not_the_signal() -> None:
+def test_an_error_is_reported_and_not_the_signal() -> None:
     with pytest.raises(OSError, match="disk"), uninterrupted():  # noqa: PT012
         signal.raise_signal(signal.SIGINT)
         raise OSError("the disk is full")

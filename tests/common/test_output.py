@@ -129,11 +129,11 @@ def evil_commands(log: Path, index: Path) -> dict[str, list[str]]:
 @pytest.mark.parametrize("name", evil_commands(Path("log"), Path("index")))
 def test_no_name_reaches_the_terminal_as_a_control_character(name: str, tmp_path: Path) -> None:
     log = write_log(tmp_path / f"{EVIL}.mcap", [0.1] * 20, road, cameras=["center"])
-    said = on_terminal(evil_commands(log, tmp_path / "index")[name], tmp_path)
-    beyond_colours = re.sub(r"\x1b\[[0-9;]*m|\r\n", "\n", said)
+    printed = on_terminal(evil_commands(log, tmp_path / "index")[name], tmp_path)
+    beyond_colours = re.sub(r"\x1b\[[0-9;]*m|\r\n", "\n", printed)
     # what draws bars: lines erased, cursor up, hidden and shown
-    assert not CONTROL.search(re.sub(r"\x1b\[(2K|1A|\?25[lh])|\r", "", beyond_colours)), ascii(said)
-    assert "owned" in said  # it has been named
+    assert not CONTROL.search(re.sub(r"\x1b\[(2K|1A|\?25[lh])|\r", "", beyond_colours)), ascii(printed)
+    assert "owned" in printed  # it has been named
 
 
 def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
@@ -143,15 +143,15 @@ def on_terminal(line: list[str], cwd: Path, stdout: int | None = None) -> str:
     colours.pop("NO_COLOR")
     process = subprocess.Popen(line, cwd=cwd, env=colours, stdout=stdout or terminal, stderr=terminal)
     os.close(terminal)
-    said = b""
+    printed = b""
     try:
         while data := os.read(shown, 65536):
-            said += data
+            printed += data
     except OSError:  # so ends a terminal on Linux
         pass
     os.close(shown)
     process.wait()
-    return said.decode()
+    return printed.decode()
 
 
 def test_a_message_stands_above_the_status(tmp_path: Path) -> None:
@@ -275,9 +275,9 @@ def test_trainings_log_lines_are_messages_in_commands_that_load_a_run(
     for number, (main, line) in enumerate(commands):
         run = run.rename(f"{run}{number}")  # of each, it is said once in a process
         call(main, *(run if word == "RUN" else word for word in line))
-        said = capsys.readouterr().err
+        printed = capsys.readouterr().err
         notice = f"{cwd}/runs/{run.name}: of an earlier version, without checksums: "
         notice = notice.replace("\x1b", "\\x1b").replace("\n", "\\n")
-        assert [line.startswith(notice) for line in said.splitlines()].count(True) == 1, said
-        assert not CONTROL.search(said)
+        assert [line.startswith(notice) for line in printed.splitlines()].count(True) == 1, printed
+        assert not CONTROL.search(printed)
     torch.set_num_threads(threads)

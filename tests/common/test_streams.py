@@ -158,7 +158,7 @@ TERMINALS = [pytest.param(kind, marks=pytest.mark.long) for kind in (StoppedTerm
 
 
 @pytest.mark.parametrize("reader", [Head, Stuck, *TERMINALS])
-def test_a_drive_answers_whoever_reads_what_it_says(reader: type[Reader], pilot: Path, tmp_path: Path) -> None:
+def test_a_drive_answers_whoever_reads_what_it_reports(reader: type[Reader], pilot: Path, tmp_path: Path) -> None:
     log, [port] = tmp_path / "run.mcap", free_ports(1)
     with read_by(reader, command_after(PATIENT, "bc-drive", pilot, "--log", log, "--port", port)) as process:
         assert answers_to(port) == [PICTURES] * CLIENTS
@@ -169,7 +169,7 @@ def test_a_drive_answers_whoever_reads_what_it_says(reader: type[Reader], pilot:
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_listening_answers_whoever_reads_what_it_says(reader: type[Reader], tmp_path: Path) -> None:
+def test_listening_answers_whoever_reads_what_it_reports(reader: type[Reader], tmp_path: Path) -> None:
     [port] = free_ports(1)
     line = command_after(PATIENT, "bc-record", "listen", "live", "--port", port)
     with read_by(reader, line, cwd=tmp_path) as process:
@@ -193,10 +193,10 @@ def test_a_recording_is_followed_to_its_end(reader: type[Reader], tmp_path: Path
 
 def test_a_training_goes_on_when_its_terminal_has_gone(tmp_path: Path) -> None:
     """On which it drew a bar; its results get into a file all the same."""
-    said = tmp_path / "said"
-    with said.open("wb") as file, read_by(ClosedTerminal, toy_training(tmp_path), tmp_path, file) as process:
+    printed = tmp_path / "said"
+    with printed.open("wb") as file, read_by(ClosedTerminal, toy_training(tmp_path), tmp_path, file) as process:
         assert process.wait(PATIENCE_S) == 0
-    assert "epoch  1" in said.read_text()
+    assert "epoch  1" in printed.read_text()
     assert len((find_run("toy", tmp_path / "runs") / "metrics.jsonl").read_text().splitlines()) == 1
 
 
@@ -231,7 +231,7 @@ def test_streams_that_are_closed_from_the_start_get_into_no_file(closed: str, tm
     assert run("bc-log", "check", tmp_path / "sessions" / "mine.mcap").returncode == 0
 
 
-def test_a_full_disk_under_stdout_is_told() -> None:
+def test_a_full_disk_under_stdout_is_reported() -> None:
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full here")
     with Path("/dev/full").open("wb") as full:

@@ -217,8 +217,8 @@ def test_a_view_in_the_place_of_a_bags_table_is_not_run(tmp_path: Path, table: s
         database.execute("UPDATE sqlite_master SET type = 'table' WHERE name = ?", (table.upper(),))
     database.commit()
     database.close()
-    told = "malformed" if doctored else f"{table} is not a table"  # the former by SQLite itself
-    with pytest.raises(RecordingError, match=told):
+    reported = "malformed" if doctored else f"{table} is not a table"  # the former by SQLite itself
+    with pytest.raises(RecordingError, match=reported):
         import_recording(bag, tmp_path / "log.mcap", ROS_TOPICS)
 
 

@@ -184,6 +184,6 @@ def test_the_same_seed_gives_the_same_picture_another_seed_another(names: str) -
     ("names", "seed"),
     [("rain", 1), ("blur+rain", 1), ("blur+", 1), ("blur", -1), ("blur,shadow", 1), ("blur+blur", 1)],
 )
-def test_what_no_index_of_ours_asks_for_is_an_error_that_says_what_to_do(names: str, seed: int) -> None:
+def test_what_no_index_of_ours_asks_for_is_an_error_with_what_to_do(names: str, seed: int) -> None:
     with pytest.raises(DatasetError, match=r"is not an alteration; build the index again with `bc-index`"):
         alter(grey(100), names, seed)

@@ -21,7 +21,7 @@ NOTHING_FOUND = ImageFindings(0, {}, {})
 
 def states(rows: int, **columns: Any) -> States:
     """A drive without anything odd, but for the columns given."""
-    told = {
+    reported = {
         "row": np.arange(rows),
         "time_ns": START_NS + np.arange(rows) * STEP_NS,
         "steering": np.arange(rows) / rows,
@@ -30,7 +30,7 @@ def states(rows: int, **columns: Any) -> States:
         "speed_mph": np.full(rows, 9.0),
         **{name: np.asarray(column) for name, column in columns.items()},
     }
-    return States(**told)
+    return States(**reported)
 
 
 def every(rows: int) -> Paired:
@@ -97,18 +97,18 @@ masks = st.lists(st.lists(st.booleans(), min_size=3, max_size=3), max_size=30)
 def test_lists_hold_each_flag_of_their_frame_once_and_in_one_order(odd: list[list[bool]]) -> None:
     rows = len(odd)
     standing, wrong, broken = np.array(odd, np.bool_).reshape(rows, 3).T
-    told = states(rows, speed_mph=np.where(standing, 0.0, 5.0), throttle=np.where(wrong, 7.0, 0.5))
+    reported = states(rows, speed_mph=np.where(standing, 0.0, 5.0), throttle=np.where(wrong, 7.0, 0.5))
     looked = ImageFindings(rows, {"center": tuple((int(at), int(at)) for at in np.flatnonzero(broken))}, {})
     in_order: list[str] = list(FRAME_FLAGS)
     names = ("standing_still", "out_of_range", "broken_picture")
-    assert frame_flags(told, {"center": every(rows)}, looked).to_pylist() == [
+    assert frame_flags(reported, {"center": every(rows)}, looked).to_pylist() == [
         sorted((name for name, holds in zip(names, row, strict=True) if holds), key=in_order.index) for row in odd
     ]
 
 
 def test_only_steering_out_of_range_and_broken_pictures_cannot_be_used() -> None:
-    told = ["gap", "frozen_picture", "missing_picture", "stuck_steering", "standing_still"]
-    flags = [["out_of_range"], ["out_of_range"], ["broken_picture"], told, []]
+    reported = ["gap", "frozen_picture", "missing_picture", "stuck_steering", "standing_still"]
+    flags = [["out_of_range"], ["out_of_range"], ["broken_picture"], reported, []]
     table = pa.table({"bin": [-1, 12, 3, 4, 5], "flags": pa.array(flags, pa.list_(pa.string()))})
     assert is_unusable(table).tolist() == [True, False, True, False, False]  # the second one's pedals are
     twice = pa.concat_tables([table, table])

@@ -281,8 +281,8 @@ def test_a_standing_start_that_two_drives_share_is_not_held_out(
     assert indexed.counts["a"].gap == 12
     assert {indexed.counts[name].training for name in "bcd"} == {400}
     assert call(main, "--sessions", tmp_path, "--index", tmp_path / "again") == 0
-    said = " ".join(capsys.readouterr().err.split())
-    assert "same pictures of a standing car in several sessions: a (12 rows from row 0), b (12" in said
+    printed = " ".join(capsys.readouterr().err.split())
+    assert "same pictures of a standing car in several sessions: a (12 rows from row 0), b (12" in printed
 
 
 @pytest.mark.parametrize(("second", "is_hinted"), [({}, True), ({"drive.seed": "1"}, False)])
@@ -319,25 +319,25 @@ def test_bc_index_prints_sessions_balance_and_totals(
     write_log(tmp_path / "lake.mcap", STEERING)
     line = ["--sessions", tmp_path, "--index", tmp_path / "index", "--block-s", 2]
     assert call(main, *line) == 0
-    told = capsys.readouterr().out.splitlines()
+    output = capsys.readouterr().out.splitlines()
     samples = rows_of(tmp_path / "index" / "samples.parquet")
     split = Counter(row["split"] for row in samples)
-    assert told[-1].startswith(f"{tmp_path / 'index'}: 900 frames, {len(samples):,} samples")
-    assert f"{split['train']:,} train" in told[-1]
-    assert f"{split['validation']:,} validation" in told[-1]
-    (session,) = [text.split() for text in told if text.startswith("lake ") and "read" in text]
+    assert output[-1].startswith(f"{tmp_path / 'index'}: 900 frames, {len(samples):,} samples")
+    assert f"{split['train']:,} train" in output[-1]
+    assert f"{split['validation']:,} validation" in output[-1]
+    (session,) = [text.split() for text in output if text.startswith("lake ") and "read" in text]
     frames = Counter(row["split"] for row in rows_of(tmp_path / "index" / "frames" / "lake.parquet"))
     counted = [frames["train"], frames["validation"], frames["gap"]]
     assert session == ["lake", "900", *map(str, counted), "0", "read"]
-    assert sum("0.00 .. 0.04" in text for text in told) == 1
+    assert sum("0.00 .. 0.04" in text for text in output) == 1
     assert call(main, *line) == 0
     assert "unchanged" in capsys.readouterr().out
 
 
-def test_bc_index_without_sessions_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bc_index_without_sessions_reports_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "--sessions", tmp_path / "none", "--index", tmp_path / "index") == 1
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert len(told.err.splitlines()) == 1
-    assert "bc-record" in told.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert len(output.err.splitlines()) == 1
+    assert "bc-record" in output.err
     assert not (tmp_path / "index").exists()

@@ -167,7 +167,7 @@ def test_a_long_takeover_is_blocks_like_any_session(tmp_path: Path) -> None:
     assert find_leaks(indexed.path) == []
 
 
-def test_what_was_for_training_can_be_told_from_the_log_again(tmp_path: Path) -> None:
+def test_what_was_for_training_can_be_reported_from_the_log_again(tmp_path: Path) -> None:
     """`bc-eval` counts what a run has learnt from: it must find the split that the index had."""
     rows = driven(*[(P, 330), (X, 110)] * 5, (P, 100))
     for config in (TAKEOVERS, IndexConfig()):

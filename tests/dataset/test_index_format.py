@@ -166,18 +166,18 @@ def test_every_key_of_the_metadata_stands_on_the_page(folder: Path) -> None:
         stored = json.loads(pq.read_schema(folder / "index" / f"{file}.parquet").metadata[b"bc.index"])
         assert sorted(first_column(section("Metadata"), head)) == sorted(stored)
     assert stored["settings"].keys() == {field.name for field in dataclasses.fields(IndexConfig)}
-    told = set(re.findall(r"`([^`]+)`", section("Metadata")))
-    assert told >= stored["balance"].keys()
-    assert told >= stored["counts"]["lake"].keys()
+    reported = set(re.findall(r"`([^`]+)`", section("Metadata")))
+    assert reported >= stored["balance"].keys()
+    assert reported >= stored["counts"]["lake"].keys()
 
 
 def test_the_index_holds_the_files_on_the_page_and_no_others(folder: Path) -> None:
-    told = {name.replace("SESSION", "lake") for name in first_column(PAGE, "file")}
+    reported = {name.replace("SESSION", "lake") for name in first_column(PAGE, "file")}
     index = folder / "index"
-    assert {path.relative_to(folder).as_posix() for path in index.rglob("*") if path.is_file()} == told
+    assert {path.relative_to(folder).as_posix() for path in index.rglob("*") if path.is_file()} == reported
 
 
-def test_the_samples_are_what_the_page_says(folder: Path) -> None:
+def test_the_samples_are_what_the_page_reports(folder: Path) -> None:
     of_frames = {
         (row["row"], row["camera"]): row
         for row in pq.read_table(folder / "index" / "frames" / "lake.parquet").to_pylist()
@@ -215,7 +215,7 @@ CHOICES: dict[str, Callable[[dict[str, Any]], bool]] = {
 
 
 @pytest.mark.parametrize("condition", CHOICES)
-def test_a_condition_chooses_the_frames_that_the_page_says(condition: str, folder: Path) -> None:
+def test_a_condition_chooses_the_frames_that_the_page_reports(condition: str, folder: Path) -> None:
     table = frames_file.read_frames(folder / "index" / "frames" / "lake.parquet")
     chosen = rows_where(table, condition).tolist()
     assert chosen == [CHOICES[condition](row) for row in table.to_pylist()]

@@ -127,9 +127,9 @@ def test_an_unfinished_log_is_indexed_as_far_as_it_goes_and_said_so(
     cut.write_bytes(whole.read_bytes())
     os.truncate(cut, whole.stat().st_size * 3 // 4)
     assert call(main, "--sessions", place(tmp_path / "sessions")) == 3
-    said = capsys.readouterr()
-    assert "lake.mcap: unfinished" in said.err
-    assert "bc-log recover" in said.err
+    printed = capsys.readouterr()
+    assert "lake.mcap: unfinished" in printed.err
+    assert "bc-log recover" in printed.err
     frames = pq.read_table("index/frames/lake.parquet")
     recovered = recover(cut, tmp_path / "recovered.mcap")
     assert 0 < len(set(frames["row"].to_pylist())) <= recovered.rows < 120
@@ -150,8 +150,8 @@ def test_one_log_that_cannot_be_read_is_left_out_and_named(
     write_log(cwd / "sessions" / "lake.mcap", STEERING)
     (cwd / "sessions" / "bad.mcap").write_bytes(b"no log")
     assert call(main, "--sessions", place(cwd / "sessions")) == 3
-    said = capsys.readouterr()
-    assert "bad.mcap: not an MCAP log" in said.err
+    printed = capsys.readouterr()
+    assert "bad.mcap: not an MCAP log" in printed.err
     assert set(pq.read_table("index/samples.parquet")["session"].to_pylist()) == {"lake"}
     assert (
         call(main, "lake", "bad", "--sessions", place(cwd / "sessions")) == 1

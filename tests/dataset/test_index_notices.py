@@ -34,12 +34,12 @@ def log_of(name: str, width: int = 0, height: int = 0) -> Path:
     return write_log(Path("sessions") / f"{name}.mcap", STEERING[:60] if width else STEERING, picture)
 
 
-def test_sessions_that_were_not_chosen_are_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_sessions_that_were_not_chosen_are_reported_once(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("lake", "mountain", "jungle"):
         log_of(name)
     assert call(main, "lake") == 0
-    told = "index: does not hold jungle, mountain; `bc-index` without names indexes all of sessions"
-    assert told in capsys.readouterr().err
+    reported = "index: does not hold jungle, mountain; `bc-index` without names indexes all of sessions"
+    assert reported in capsys.readouterr().err
     assert sessions_not_indexed("index", "sessions") == []  # which is what a training asks
     log_of("newer")
     assert sessions_not_indexed("index", "sessions") == ["newer"]
@@ -51,7 +51,7 @@ def test_sessions_that_were_not_chosen_are_told_once(capsys: pytest.CaptureFixtu
     assert sessions_not_indexed("index", "sessions") == []
 
 
-def test_a_log_that_was_left_out_is_told_again_when_it_has_changed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_that_was_left_out_is_reported_again_when_it_has_changed(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake")
     bad = Path("sessions/bad.mcap")
     bad.write_bytes(b"no log")
@@ -70,7 +70,7 @@ def test_a_session_that_is_mistyped_is_asked_back(capsys: pytest.CaptureFixture[
     assert "no such log; the sessions are named by the files in sessions" in capsys.readouterr().err
 
 
-def test_a_path_that_is_no_log_is_told_by_what_may_be_meant(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_path_that_is_no_log_is_reported_by_what_may_be_meant(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake")
     assert call(main, "sessions/lake") == 1
     assert "bc-index: sessions/lake: no such log; did you mean lake?" in capsys.readouterr().err
@@ -78,11 +78,11 @@ def test_a_path_that_is_no_log_is_told_by_what_may_be_meant(capsys: pytest.Captu
     recording.mkdir(parents=True)
     (recording / "driving_log.csv").touch()
     assert call(main, recording) == 1
-    told = "this is a recording; `bc-import 'my simulator/recording' NAME` converts it to a log"
-    assert told in capsys.readouterr().err
+    reported = "this is a recording; `bc-import 'my simulator/recording' NAME` converts it to a log"
+    assert reported in capsys.readouterr().err
 
 
-def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFixture[str]) -> None:
+def test_pictures_of_different_sizes_are_reported_each_time(capsys: pytest.CaptureFixture[str]) -> None:
     log_of("lake", 320, 160)
     assert call(main, "--validation-share", 0) == 0
     assert "different sizes" not in capsys.readouterr().err
@@ -90,8 +90,8 @@ def test_pictures_of_different_sizes_are_told_each_time(capsys: pytest.CaptureFi
     log_of("mountain", 320, 160)
     for _ in range(2):
         assert call(main, "--validation-share", 0) == 0
-        said = capsys.readouterr().err
-        assert "pictures of different sizes: 320 x 160 px in lake, mountain; 160 x 120 px in tub." in said
+        printed = capsys.readouterr().err
+        assert "pictures of different sizes: 320 x 160 px in lake, mountain; 160 x 120 px in tub." in printed
 
 
 def test_a_finished_recording_whose_name_was_taken_is_not_recovered(tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ def test_two_machines_may_index_one_bucket_at_once(bucket: Bucket, tmp_path: Pat
     assert {path.name: path.read_bytes() for path in bucket.folder.iterdir()} == before
 
 
-def test_an_old_log_costs_all_of_it_and_says_so(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_old_log_costs_all_of_it_and_reports_so(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
     size = mixed(drive(bucket.folder / "old.mcap")).stat().st_size
     assert index_of(bucket.url(), "store") == 0
     assert f"all {size / 1e6:,.0f} MB were downloaded; `bc-log rewrite`" in " ".join(

@@ -57,7 +57,7 @@ def test_what_is_no_condition_is_an_error_that_names_the_columns(tmp_path: Path)
     assert not (tmp_path / "index").exists()
 
 
-def test_an_index_of_nothing_says_what_became_of_the_frames(tmp_path: Path) -> None:
+def test_an_index_of_nothing_reports_what_became_of_the_frames(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [0.0] * 4 + [1.5] * 3, cameras=["center", "left"])
     with pytest.raises(DatasetError) as raised:
         build_index([path], tmp_path / "index", IndexConfig(where="steering > 1", cameras=("left",)))
@@ -152,7 +152,7 @@ def test_an_excluded_row_in_use_is_a_leak(tmp_path: Path) -> None:
     assert any("tagged `exclude` and used" in leak for leak in find_leaks(index))
 
 
-def test_bc_index_check_says_so(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bc_index_check_reports_so(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_session(cwd / "sessions" / "a.mcap", STEERING)
     assert call(main, "--check", "--block-s", 3) == 0
     assert "no leak" in capsys.readouterr().out

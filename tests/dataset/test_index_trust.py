@@ -69,7 +69,7 @@ def test_a_tag_that_comes_while_an_index_is_built_is_not_lost(
     assert min(indexed.samples["row"].to_pylist()) >= 100
 
 
-def test_a_moved_index_finds_its_logs_again_or_says_so(tmp_path: Path) -> None:
+def test_a_moved_index_finds_its_logs_again_or_reports_so(tmp_path: Path) -> None:
     path = write_session(tmp_path / "a.mcap", STEERING)
     build_index([path], tmp_path / "index")
     (tmp_path / "deep").mkdir()

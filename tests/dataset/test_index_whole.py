@@ -194,10 +194,10 @@ def test_what_breaks_a_log_that_nobody_named_breaks_no_other(
     shutil.copy(sessions / "lake.mcap", sessions / os.fsdecode(b"caf\xe9.mcap"))
     for flags in ([], ["--look"]):
         assert call(main, *flags) == 3
-        said = capsys.readouterr().err
+        printed = capsys.readouterr().err
         for named in ("flipped.mcap: damaged", "folder.mcap", "loop.mcap: cannot be opened", "needs a name"):
-            assert named in said
-        assert said.count("left out") == 4
+            assert named in printed
+        assert printed.count("left out") == 4
         assert sessions_of(cwd / "index") == ({"lake"}, {"lake"})
     assert call(main, "flipped", "lake") == 1
 
@@ -319,7 +319,7 @@ def test_a_refused_build_leaves_nothing(cwd: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "printed"),
     [
         (["--where", "nonsense = 1"], "--where 'nonsense = 1'"),
         (["--validation", "nobody"], "--validation nobody: no such session"),
@@ -329,9 +329,9 @@ def test_a_refused_build_leaves_nothing(cwd: Path, capsys: pytest.CaptureFixture
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_read(
-    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[str], said: str
+    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[str], printed: str
 ) -> None:
     log_of(cwd / "sessions" / "a.mcap")
     assert call(main, "--look", *flags) == (1 if "nobody" in flags else 2)
-    assert said in capsys.readouterr().err
+    assert printed in capsys.readouterr().err
     assert not (cwd / "index").exists()

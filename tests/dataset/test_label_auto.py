@@ -246,7 +246,7 @@ def test_an_index_that_held_out_crashes_is_read_and_made_anew(tmp_path: Path) ->
 # What is said of it
 
 
-def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_how_each_session_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "sessions"
     folder.mkdir()
     write_drive(folder / "keyboard.mcap", NO_PICTURES, keys)
@@ -255,7 +255,7 @@ def test_the_command_says_how_each_session_was_steered(tmp_path: Path, capsys: p
     write_drive(folder / "mirrored.mcap", views(ROWS)[1:], lambda at_s: -hand(at_s + 0.1))
     for _ in ("built", "found built"):
         assert call(main, "--sessions", folder, "--index", tmp_path / "index") == 0
-        said = " ".join(capsys.readouterr().out.split())
-        assert "keyboard keys 50% 65 x 0.5 s 10.0" in said
+        printed = " ".join(capsys.readouterr().out.split())
+        assert "keyboard keys 50% 65 x 0.5 s 10.0" in printed
         for word in ("mean of 0.5 s", "is 0.4 s late", "+0.30 ±0.05", "too short to tell", "is left right?"):
-            assert word in said
+            assert word in printed

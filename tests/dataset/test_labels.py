@@ -298,7 +298,7 @@ def run(tmp_path: Path, *flags: object) -> int:
     return call(main, "--sessions", tmp_path / "sessions", "--index", tmp_path / "index", *flags)
 
 
-def test_the_command_tells_how_many_frames_have_no_label(
+def test_the_command_shows_how_many_frames_have_no_label(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "sessions").mkdir()
@@ -313,10 +313,10 @@ def test_the_command_tells_how_many_frames_have_no_label(
     assert "no label" not in capsys.readouterr().out
 
 
-def test_a_shift_longer_than_every_stretch_leaves_nothing_and_says_so(
+def test_a_shift_longer_than_every_stretch_leaves_nothing_and_reports_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "sessions").mkdir()
     assert run(tmp_path, "--label-shift", 10) == 1
-    assert "no frame can be used" in (said := capsys.readouterr().err)
-    assert "--label-shift" in said
+    assert "no frame can be used" in (printed := capsys.readouterr().err)
+    assert "--label-shift" in printed

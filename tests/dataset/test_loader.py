@@ -90,7 +90,7 @@ def content(batch: Batch) -> tuple[bytes, bytes]:
 # Batches
 
 
-def test_an_epoch_is_every_sample_once_each_as_the_index_says(index: Path) -> None:
+def test_an_epoch_is_every_sample_once_each_as_the_index_reports(index: Path) -> None:
     expected = rows_of(index)
     assert any(row["alteration"] for row in expected)
     assert {row["session"] for row in expected} == {"lake", "jungle"}
@@ -410,7 +410,7 @@ def test_an_index_that_makes_no_sense_is_refused(own: Path, change: Callable[[pa
     assert "\n" not in str(caught.value)
 
 
-def test_no_index_says_how_to_build_one(tmp_path: Path) -> None:
+def test_no_index_reports_how_to_build_one(tmp_path: Path) -> None:
     for opened in (load, SamplesDataset):
         with pytest.raises(DatasetError, match=r"no index; .*build it with `bc-index"):
             opened(tmp_path)

@@ -22,7 +22,7 @@ def cwd(index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reported"),
     [
         ("indx", "bc-train: indx: no index; did you mean index? build it with `bc-index --index indx`"),
         ("of people", "of people: no index; the indexes are index; build it with `bc-index --index 'of people'`"),
@@ -32,12 +32,12 @@ def cwd(index: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
 )
 def test_training_builds_no_index_of_a_misspelt_name(
-    cwd: Path, capsys: pytest.CaptureFixture[str], name: str, told: str
+    cwd: Path, capsys: pytest.CaptureFixture[str], name: str, reported: str
 ) -> None:
     before = sorted(cwd.iterdir())
     assert call(bc_train, "--index", name, "--network", "small", "--epochs", 1, "--threads", 1) == 1
-    said = capsys.readouterr()
-    assert (told in said.err, said.out) == (True, "")
+    printed = capsys.readouterr()
+    assert (reported in printed.err, printed.out) == (True, "")
     assert sorted(cwd.iterdir()) == before
 
 

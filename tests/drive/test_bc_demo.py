@@ -48,23 +48,23 @@ def test_the_commands_that_it_ends_with_can_be_typed(installed: Path, tmp_path: 
     code = "from behavioural_cloning_toolkit import bc_demo; bc_demo()"
     line = [str(installed), "-c", code, "--folder", "my demo"]
     done = subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, check=True)
-    said = done.stdout.splitlines()
-    steps = [number for number, text in enumerate(said) if text.startswith("$ bc-")]
+    printed = done.stdout.splitlines()
+    steps = [number for number, text in enumerate(printed) if text.startswith("$ bc-")]
     assert len(steps) == 6
     for number, step in enumerate(steps):  # each is printed before its command prints
-        assert said[step + 1].startswith(f"called in {tmp_path / 'my demo'}: ")
-        assert said[step - 1] == f"{number + 1} of 6"
-        assert said[step + 2].startswith("took ")
-    assert shlex.split(said[-3])[1] == "my demo/drives/demo-mountain-15mph.mcap"
-    assert "drive yourself" in said[-2]
-    for closing, program, last in ((said[-3], "bc-play", "15mph.mcap"), (said[-1], "bc-web", "--open")):
+        assert printed[step + 1].startswith(f"called in {tmp_path / 'my demo'}: ")
+        assert printed[step - 1] == f"{number + 1} of 6"
+        assert printed[step + 2].startswith("took ")
+    assert shlex.split(printed[-3])[1] == "my demo/drives/demo-mountain-15mph.mcap"
+    assert "drive yourself" in printed[-2]
+    for closing, program, last in ((printed[-3], "bc-play", "15mph.mcap"), (printed[-1], "bc-web", "--open")):
         typed = subprocess.run(
             closing, cwd=tmp_path, env=variables, shell=True, capture_output=True, text=True, check=True
         )
         assert typed.stdout.startswith(f"called in {tmp_path}: ")
         assert f"/{program} " in typed.stdout
         assert typed.stdout.endswith(f"{last}\n")
-    [activate] = [text.partition(": ")[2] for text in said if "source " in text]
+    [activate] = [text.partition(": ")[2] for text in printed if "source " in text]
     play = shlex.split(activate)[1]
     assert Path(play).exists()
 
@@ -85,11 +85,11 @@ def test_without_a_terminal_a_line_now_and_then_shows_progress(
     from common import progress
 
     monkeypatch.setattr(progress, "LINE_EVERY_S", 0.01)
-    said = ""
+    printed = ""
     for number in progress.track(range(4), "reading", 4):
-        while number == 1 and "reading: 25 %" not in said:
+        while number == 1 and "reading: 25 %" not in printed:
             time.sleep(0.01)
-            said += capfd.readouterr().err
+            printed += capfd.readouterr().err
     assert progress.duration_text(40) == "40 s"
     assert progress.duration_text(725) == "12 min"
     assert progress.duration_text(3 * 3600 + 300) == "3 h 5 min"

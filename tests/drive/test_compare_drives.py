@@ -103,13 +103,13 @@ def test_one_intervention_may_be_chance_and_ten_elsewhere_are_not(good: DriveRes
     assert measures["autonomy_percent"]["b"] == pytest.approx(100 * (1 - 6 * 10 / seconds))
 
 
-def test_a_drive_that_was_given_up_is_worse_whatever_the_rest_says(good: DriveResult, tmp_path: Path) -> None:
+def test_a_drive_that_was_given_up_is_worse_whatever_the_rest_reports(good: DriveResult, tmp_path: Path) -> None:
     stuck = drive(tmp_path / "stuck.mcap", lambda arc_m: 0.1, gave_up=True)
     assert compared(good, stuck)[0] == "worse"
     assert compared(stuck, stuck)[0] == "not told apart"
 
 
-def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_says(
+def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

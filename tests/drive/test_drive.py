@@ -222,7 +222,7 @@ def test_the_log_holds_frame_crop_command_and_state_of_each_telemetry(drive: Dri
     assert times_ns == sorted(set(times_ns))
 
 
-def test_the_logged_pictures_are_those_that_were_told_byte_for_byte(drive: Drive) -> None:
+def test_the_logged_pictures_are_those_that_were_reported_byte_for_byte(drive: Drive) -> None:
     assert images(drive.log, "/camera/center")[:REPLAYED] == drive.pictures
 
 
@@ -247,7 +247,7 @@ def test_the_logged_command_is_the_one_that_the_simulator_got(drive: Drive) -> N
         assert 0 < sent.decode_ms + sent.network_ms <= sent.total_ms
 
 
-def test_the_logged_state_is_what_the_simulator_told(drive: Drive) -> None:
+def test_the_logged_state_is_what_the_simulator_reported(drive: Drive) -> None:
     states = decoded(drive.log, "/vehicle")[:REPLAYED]
     assert {state.speed_mph for state in states} == {9.0}
     # The first two telemetries leave before any answer; from then on each tells the command last got.
@@ -270,16 +270,16 @@ def test_a_second_simulator_has_a_log_of_its_own_and_that_is_said(drive: Drive) 
     assert images(drive.second_log, "/camera/center") == drive.pictures[:TOGETHER]
     rows = read_messages(drive.second_log)["/vehicle"]
     assert [message.sequence for message, _ in rows] == list(range(TOGETHER))
-    (said,) = [line for line in drive.stderr.splitlines() if "second simulator" in line]
-    assert str(drive.second_log) in said
+    (printed,) = [line for line in drive.stderr.splitlines() if "second simulator" in line]
+    assert str(drive.second_log) in printed
     assert f"{drive.second_log}: {TOGETHER} frames" in drive.stdout
 
 
 def test_so_many_simulators_are_driven_at_once_and_no_more(pilot_run: Path, tmp_path: Path) -> None:
-    said: list[str] = []
+    printed: list[str] = []
     pilot, log = load_pilot(pilot_run), tmp_path / "run.mcap"
     names = [str(number) for number in range(MAX_SIMULATORS + 2)]
-    with DriveServer(pilot, DriveConfig(), log, port=0, notify=said.append) as server:
+    with DriveServer(pilot, DriveConfig(), log, port=0, notify=printed.append) as server:
         for name in names:
             server.connected(name)
         answers = [server.telemetry(name, fields(0), time.perf_counter()) for name in names]
@@ -287,10 +287,10 @@ def test_so_many_simulators_are_driven_at_once_and_no_more(pilot_run: Path, tmp_
             answer.on_sent(1.0)
     assert [answer.command is None for answer in answers] == [False] * MAX_SIMULATORS + [True] * 2
     assert len(list(tmp_path.glob("*.mcap"))) == MAX_SIMULATORS
-    assert sum("are not driven" in line for line in said) == 1
+    assert sum("are not driven" in line for line in printed) == 1
 
 
-def test_who_connects_and_tells_nothing_takes_nobody_the_log(pilot_run: Path, tmp_path: Path) -> None:
+def test_who_connects_and_shows_nothing_takes_nobody_the_log(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0) as server:
         server.connected("in its menu")
@@ -301,13 +301,15 @@ def test_who_connects_and_tells_nothing_takes_nobody_the_log(pilot_run: Path, tm
 
 
 def test_a_returning_simulator_goes_on_in_its_log_with_a_notice(pilot_run: Path, tmp_path: Path) -> None:
-    log, said = tmp_path / "run.mcap", list[str]()
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
+    log, printed = tmp_path / "run.mcap", list[str]()
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=printed.append) as server:
         for name in ("a", "b"):
             server.connected(name)
             server.telemetry(name, fields(0), time.perf_counter()).on_sent(1.0)
             server.disconnected(name, "gone")
-    assert [line for line in said if line.startswith("connected again")] == [f"connected again: {log} continues"]
+    assert [line for line in printed if line.startswith("connected again")] == [
+        f"connected again: {log} continues"
+    ]
     assert len(images(log, "/camera/center")) == 2
 
 
@@ -325,15 +327,18 @@ def test_a_simulator_that_comes_while_the_others_are_braked_is_braked_too(pilot_
 
 
 def test_a_second_log_that_cannot_be_opened_leaves_the_first_drive_alone(pilot_run: Path, tmp_path: Path) -> None:
-    log, said = tmp_path / f"{'x' * 238}.mcap", list[str]()  # as long as a name may be, and the second's is longer
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
+    log, printed = (
+        tmp_path / f"{'x' * 238}.mcap",
+        list[str](),
+    )  # as long as a name may be, and the second's is longer
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=printed.append) as server:
         commands = []
         for name in ("a", "b", "a", "b"):
             answer = server.telemetry(name, fields(0), time.perf_counter())
             answer.on_sent(1.0)
             commands.append(answer.command)
     assert [command is None for command in commands] == [False, True, False, True]
-    assert sum("is not driven" in line for line in said) == 1
+    assert sum("is not driven" in line for line in printed) == 1
     assert len(images(log, "/camera/center")) == 2
 
 
@@ -368,8 +373,8 @@ def test_each_malformed_telemetry_is_an_event_and_is_counted(drive: Drive) -> No
     assert len(bad) == len(MALFORMED_NAMES)
     assert {event.level for event in bad} == {LogMessage.WARNING}
     assert f"{len(MALFORMED_NAMES)} telemetries could not be used: " in drive.stdout
-    said = [line for line in drive.stderr.splitlines() if "telemetry that cannot be used" in line]
-    assert len(said) == len(set(said)) == len({reason_kind(event.message) for event in bad})
+    printed = [line for line in drive.stderr.splitlines() if "telemetry that cannot be used" in line]
+    assert len(printed) == len(set(printed)) == len({reason_kind(event.message) for event in bad})
     reasons = dict(zip(MALFORMED_NAMES, (event.message for event in bad), strict=True))
     assert "image is larger" in reasons["too large an image"]
     assert "speed is not finite" not in reasons["a speed in words"]
@@ -527,7 +532,7 @@ def test_at_the_end_the_car_is_braked_to_a_stand(pilot_run: Path, tmp_path: Path
     )
 
 
-def test_a_drive_on_nothing_but_bad_telemetry_says_so_and_fails(pilot_run: Path, tmp_path: Path) -> None:
+def test_a_drive_on_nothing_but_bad_telemetry_reports_so_and_fails(pilot_run: Path, tmp_path: Path) -> None:
     """A simulator of one's own cuts off its PNGs, and then forgets a field: each is said once, while it drives."""
     log = tmp_path / "run.mcap"
     png = base64.b64encode(b"\x89PNG\r\n\x1a\n" + bytes(99)).decode()
@@ -540,9 +545,9 @@ def test_a_drive_on_nothing_but_bad_telemetry_says_so_and_fails(pilot_run: Path,
         answer_to(client, fields(0, speed=...))
         client.close()
         assert process.end() == 1
-    said = [line for line in process.stderr if "cannot be used" in line]
-    assert len(said) == 3
-    assert "speed is missing (received: steering_angle, throttle, image)" in said[2]
+    printed = [line for line in process.stderr if "cannot be used" in line]
+    assert len(printed) == 3
+    assert "speed is missing (received: steering_angle, throttle, image)" in printed[2]
     assert (
         "nothing was driven: no telemetry could be used (image is a PNG that is cut off or damaged)"
         in process.stderr[-1]
@@ -597,8 +602,8 @@ def test_a_silent_simulator_is_sent_the_brake_and_its_release(
     braked = throttles[throttles.index(-1.0) :]
     assert set(braked[: braked.index(0.0)]) == {-1.0}
     assert set(braked[braked.index(0.0) :]) == {0.0}
-    said = [line for line in process.stderr if "brake" in line or "roll" in line]
-    assert said == [
+    printed = [line for line in process.stderr if "brake" in line or "roll" in line]
+    assert printed == [
         "bc-drive: the car is braked to a stand; Ctrl-C again ends at once",
         "bc-drive: the car may still roll: its simulator is silent",
     ]
@@ -645,8 +650,8 @@ def test_a_brake_is_released_after_the_stopping_time_and_logged_once(
 
 
 def test_braking_is_an_event_and_not_the_pilots(pilot_run: Path, tmp_path: Path) -> None:
-    log, said = tmp_path / "run.mcap", list[str]()
-    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=said.append) as server:
+    log, printed = tmp_path / "run.mcap", list[str]()
+    with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0, notify=printed.append) as server:
         server.connected("a")
 
         def tell(speed: str, **changed: Any) -> float:
@@ -679,7 +684,7 @@ def test_a_simulator_is_driven_over_ipv6(pilot_run: Path, tmp_path: Path) -> Non
     assert isinstance(answers[1], SteerCommand)
 
 
-def test_the_live_line_says_when_the_simulator_has_gone(pilot_run: Path, tmp_path: Path) -> None:
+def test_the_live_line_reports_when_the_simulator_has_gone(pilot_run: Path, tmp_path: Path) -> None:
     shown: list[str] = []
     with DriveServer(
         load_pilot(pilot_run), DriveConfig(), tmp_path / "run.mcap", port=0, show_status=shown.append
@@ -708,7 +713,7 @@ def test_a_simulator_that_falls_silent_is_steered_once_unasked(pilot_run: Path, 
     assert [event.level for event in pushed] == [LogMessage.WARNING] * 2
 
 
-def test_a_client_that_tells_nothing_is_told_what_to_do(pilot_run: Path, tmp_path: Path) -> None:
+def test_a_client_that_shows_nothing_is_told_what_to_do(pilot_run: Path, tmp_path: Path) -> None:
     with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
         client = ModernClient(process.wait_until_it_listens())
         process.wait_for("connected, but no telemetry comes: choose Autonomous Mode")

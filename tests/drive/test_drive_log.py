@@ -91,7 +91,7 @@ def events_of(path: Path) -> list[str]:
 # What is in it
 
 
-def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
+def test_a_row_holds_what_was_reported_seen_and_answered(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     decisions = [decided(number) for number in range(30)]
     with drive_log(path) as log:
@@ -136,7 +136,7 @@ def test_a_row_holds_what_was_told_seen_and_answered(tmp_path: Path) -> None:
         assert not command.HasField("expert_steering")
 
 
-def test_a_told_world_gives_the_pose_and_what_the_expert_would_do(tmp_path: Path) -> None:
+def test_a_reported_world_gives_the_pose_and_what_the_expert_would_do(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     worlds = [replace(WORLD, time_s=i / 25, x_m=i * 0.5, expert_steering=-i / 10) for i in range(5)]
     with drive_log(path) as log:
@@ -174,7 +174,7 @@ def test_a_healthy_drive_passes_bc_log_check_and_is_one_drive(tmp_path: Path) ->
     assert "1 drive; no odd rows" in info.stdout
 
 
-def test_bc_log_check_tells_what_could_not_be_used(tmp_path: Path) -> None:
+def test_bc_log_check_shows_what_could_not_be_used(tmp_path: Path) -> None:
     """Every one is counted, and not only those that became an event of their own."""
     path = tmp_path / "run.mcap"
     with drive_log(path) as log:
@@ -408,7 +408,7 @@ def test_rows_are_lost_only_when_far_more_wait(tmp_path: Path, monkeypatch: pyte
     assert ["rows are left out" in events[10], "80 rows and events are missing" in events[11]] == [True, True]
 
 
-def test_a_full_disk_is_told_and_the_driving_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_and_the_driving_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("recorder.log.writer.FLUSH_S", 0.0)  # a second of driving is written in no time here
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, {"source": "drive"}, live=True)

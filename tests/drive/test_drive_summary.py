@@ -40,7 +40,7 @@ def decided(speed_mph: float = 10.0, world: World | None = None, **changed: Any)
     return replace(decision, **changed)
 
 
-def test_nothing_is_rolled_while_no_speed_is_told() -> None:
+def test_nothing_is_rolled_while_no_speed_is_reported() -> None:
     summary = DriveSummary()
     for i in range(3):
         summary.decision(decided(), 2.0, now_s=i / 10)
@@ -63,7 +63,7 @@ def test_what_another_simulator_drove_before_is_not_counted() -> None:
     assert summary.interventions == 0
 
 
-def test_laps_are_told_only_if_every_frame_told_them() -> None:
+def test_laps_are_reported_only_if_every_frame_told_them() -> None:
     summary = DriveSummary()
     for i in range(3):
         summary.decision(decided(), 2.0, now_s=i / 25)
@@ -134,7 +134,7 @@ def test_a_simulated_clock_that_does_not_advance_is_not_used(step_s: float) -> N
 
 
 @pytest.mark.parametrize("clocks_s", [0.004, 0.4])
-def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float) -> None:
+def test_a_simulator_that_shows_its_time_alone_is_measured_by_it(clocks_s: float) -> None:
     """Faster or slower than the clock: 20 mph for 60 of its seconds are a third of a mile."""
     summary = DriveSummary()
     for i in range(1501):
@@ -147,7 +147,7 @@ def test_a_simulator_that_tells_its_time_alone_is_measured_by_it(clocks_s: float
     assert "this simulator does not report when the car leaves the road" in " ".join(summary_lines(summary))
 
 
-def test_a_lap_of_the_expert_is_what_the_simulators_own_book_says() -> None:
+def test_a_lap_of_the_expert_is_what_the_simulators_own_book_reports() -> None:
     track = load_track("lake")
     course, expert = Course(track), Expert(track.line, 10.0, 0.0, 0)
     summary = DriveSummary()
@@ -299,7 +299,7 @@ def test_the_lines_for_people() -> None:
     assert malformed == "1 telemetry could not be used: not an object (1)"
 
 
-def test_the_live_line_tells_the_last_second() -> None:
+def test_the_live_line_shows_the_last_second() -> None:
     summary = DriveSummary()
     status = LiveStatus(summary)
     assert status.line(0.0) == ""
@@ -315,7 +315,7 @@ def test_the_live_line_tells_the_last_second() -> None:
     assert status.line(17.0).startswith("1 intervention, 10.1 mph, a human drives")
 
 
-def test_the_live_line_tells_what_cannot_be_used() -> None:
+def test_the_live_line_shows_what_cannot_be_used() -> None:
     summary = DriveSummary()
     status = LiveStatus(summary)
     lines = []

@@ -57,9 +57,9 @@ def test_without_a_display_the_command_that_shows_the_drive_is_said(pilot_run: P
     log = tmp_path / "a drive.mcap"
     line = command_after(PATIENT, "bc-drive", pilot_run, "--log", log, "--port", 0)
     with Process(line) as process:
-        said = process.wait_for(r"^bc-drive: watch it with `(.*)`$")[1]
+        printed = process.wait_for(r"^bc-drive: watch it with `(.*)`$")[1]
         drive(process)
-        program, *arguments = shlex.split(said)
+        program, *arguments = shlex.split(printed)
         rrd = tmp_path / "a.rrd"
         with Process(command(program, *arguments, "--save", rrd)) as play:  # that very command
             wait_until(lambda: list(tmp_path.glob("a.rrd.*.part")))

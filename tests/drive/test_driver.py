@@ -152,7 +152,7 @@ def test_a_speed_that_is_no_number_brakes() -> None:
 # A telemetry that is driven on
 
 
-def test_the_answer_is_the_networks_and_what_led_to_it_is_told() -> None:
+def test_the_answer_is_the_networks_and_what_led_to_it_is_reported() -> None:
     pilot, data = untrained_pilot(), message(7, speed_mph=4.0)
     decision = drive(Driver(pilot, DriveConfig()), data)
     crop = pilot.crop(decode(road_jpeg(7)))
@@ -166,10 +166,10 @@ def test_the_answer_is_the_networks_and_what_led_to_it_is_told() -> None:
     assert min(decision.parse_ms, decision.decode_ms, decision.network_ms) > 0
 
 
-@pytest.mark.parametrize(("said", "sent"), [(7.0, 1.0), (-1.5, -1.0), (math.inf, 0.0)])
-def test_steering_is_clamped_and_the_prediction_is_not(said: float, sent: float) -> None:
-    decision = drive(Driver(pilot_that_says(said), DriveConfig()), message())
-    assert (decision.predicted_steering, decision.steering) == (said, sent)
+@pytest.mark.parametrize(("printed", "sent"), [(7.0, 1.0), (-1.5, -1.0), (math.inf, 0.0)])
+def test_steering_is_clamped_and_the_prediction_is_not(printed: float, sent: float) -> None:
+    decision = drive(Driver(pilot_that_says(printed), DriveConfig()), message())
+    assert (decision.predicted_steering, decision.steering) == (printed, sent)
 
 
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (1, 1), (5, 4000)])
@@ -253,10 +253,10 @@ def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_ri
     decisions = [
         drive(driver, message(world=replace(MIDDLE, time_s=9 + k * step_s)), 5 + k / 20) for k in range(60)
     ]
-    said = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
+    printed = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
     text = "time_s does not advance: this computer's clock counts instead"
-    assert [event for _, event in said] == [f"the simulator's world is not used whole: {text}"]
-    assert 1.0 <= said[0][0] / 20 <= 1.1
+    assert [event for _, event in printed] == [f"the simulator's world is not used whole: {text}"]
+    assert 1.0 <= printed[0][0] / 20 <= 1.1
     assert decisions[-1].steering - decisions[-21].steering == pytest.approx(0.1)
 
 
@@ -343,7 +343,7 @@ def test_a_car_without_a_speed_is_braked_once_and_never_reversed(half_right: Pil
 
 
 @pytest.mark.parametrize(("speed_mph", "throttle"), [(0.5, 0.0), (5.0, -1.0)])
-def test_a_brake_of_unknown_speed_heeds_the_speed_as_soon_as_it_is_told(
+def test_a_brake_of_unknown_speed_heeds_the_first_speed_that_is_reported(
     half_right: Pilot, speed_mph: float, throttle: float
 ) -> None:
     driver = Driver(half_right, DriveConfig())
@@ -388,7 +388,7 @@ def test_a_network_without_a_number_brakes_at_once_and_is_named_once(no_number: 
     assert all(math.isnan(answer.predicted_steering) for answer in answers)
 
 
-def test_a_standing_car_is_never_told_to_reverse(no_number: Pilot, half_right: Pilot) -> None:
+def test_a_standing_car_is_never_reported_to_reverse(no_number: Pilot, half_right: Pilot) -> None:
     """The real simulator's speed has no sign: a car that rolls backwards tells 5 mph too."""
     driver = Driver(no_number, DriveConfig())
     throttles = [
@@ -440,7 +440,7 @@ configs = st.builds(
 
 
 @given(st.lists(st.tuples(telemetries, st.floats(-1e9, 1e9)), min_size=1, max_size=6), configs)
-def test_whatever_is_told_is_answered_by_numbers_within_their_bounds(
+def test_whatever_is_reported_is_answered_by_numbers_within_their_bounds(
     half_right: Pilot, data: list[tuple[object, float]], config: DriveConfig
 ) -> None:
     driver = Driver(half_right, config)
@@ -483,7 +483,7 @@ def test_while_nothing_usable_comes_no_change_of_steering_is_saved_up(half_right
     assert drive(driver, message(), telemetries / 10).steering == pytest.approx(0.01)
 
 
-def test_the_simulators_own_clock_counts_where_it_tells_it(half_right: Pilot) -> None:
+def test_the_simulators_own_clock_counts_where_it_shows_it(half_right: Pilot) -> None:
     """A tenth of a second passes there, however long our computer takes; and a clock that goes back is no time."""
     driver = Driver(half_right, DriveConfig(max_steering_per_s=1.0))
     times_s = [5.0, 5.1, 5.1, 5.2, 1.0, 1.1]

@@ -43,10 +43,10 @@ def commands(log: str) -> list[PilotCommand]:
 
 def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert call(bc_drive, "first", *bar(**SPEED), *UNSEEN, "--episodes", 2, "--seed", 3, "--log", "d.mcap") == 0
-    said = capsys.readouterr().out
-    assert "seed 3: 30 steps, reward" in said
-    assert "seed 4: 30 steps, reward" in said
-    assert "8.9 mph on average" in said  # 4 m/s
+    printed = capsys.readouterr().out
+    assert "seed 3: 30 steps, reward" in printed
+    assert "seed 4: 30 steps, reward" in printed
+    assert "8.9 mph on average" in printed  # 4 m/s
     sent = [command.steering for command in commands("d.mcap")]
     with Log("d.mcap") as log:
         driven = log.vehicle()["steering"].to_pylist()
@@ -74,7 +74,7 @@ def test_a_full_disk_ends_the_drive_at_once(capsys: pytest.CaptureFixture[str]) 
     assert shown.out.count("seed") < 40
 
 
-def test_an_expert_works_the_pedals_where_no_speed_is_told() -> None:
+def test_an_expert_works_the_pedals_where_no_speed_is_reported() -> None:
     line = [*bar(args=SHORT), *UNSEEN, "--expert", "tests.helpers.toy_environment:centre", "--log", "d.mcap"]
     assert call(bc_drive, "first", *line) == 0
     sent = commands("d.mcap")

@@ -93,7 +93,7 @@ def test_a_car_that_was_put_back_at_rest_is_not_taken_for_one_on_a_slope() -> No
     assert controller.follow(4.0, 0.0, 5.0) == pytest.approx(fresh.follow(0.0, 0.0, 5.0), abs=0.01)
 
 
-def test_the_speed_that_is_told_is_the_lowest_of_those_wanted() -> None:
+def test_the_speed_that_is_reported_is_the_lowest_of_those_wanted() -> None:
     assert SpeedController(20).set_speed_for(0.5) == 20
     assert SpeedController(20).set_speed_for(0.5, 15.0) == 15
     assert SpeedController(20).set_speed_for(0.5, 25.0) == 20

@@ -23,8 +23,8 @@ def driven(takeover: Takeover, offsets: list[float], steering: float = 0.1) -> l
     seen = []
     for number, offset in enumerate(offsets):
         time_s = number * STEP_S
-        said = takeover.update(time_s, replace(MIDDLE, time_s=time_s, offset=offset), steering)
-        seen.append((takeover.expert_drives, said))
+        printed = takeover.update(time_s, replace(MIDDLE, time_s=time_s, offset=offset), steering)
+        seen.append((takeover.expert_drives, printed))
     return seen
 
 
@@ -123,20 +123,20 @@ def test_a_simulator_without_poses_laps_or_clock_has_an_expert() -> None:
     world = World(offset=0.0, expert_steering=0.3, expert_throttle=0.5)
     # half of the half width a second to the left: at 0.7 s from 0.9
     taken = [takeover.update(k / 10, replace(world, offset=k / 20), 0.0) for k in range(13)]
-    assert [k for k, said in enumerate(taken) if said] == [12]
+    assert [k for k, printed in enumerate(taken) if printed] == [12]
     assert takeover.expert_drives
 
 
-def test_what_an_expert_needs_and_is_not_told_is_named() -> None:
+def test_what_an_expert_needs_and_is_not_reported_is_named() -> None:
     takeover = Takeover()
     takeover.update(0.0, World(time_s=1.0, offset=0.95), 0.0)
-    (said,) = takeover.update(1.0, World(time_s=2.0, offset=0.95), 0.0)
-    assert "does not send expert_steering, expert_throttle (" in said
+    (printed,) = takeover.update(1.0, World(time_s=2.0, offset=0.95), 0.0)
+    assert "does not send expert_steering, expert_throttle (" in printed
 
 
 def test_laps_and_cars_that_were_put_back_are_events() -> None:
     events = CourseEvents()
     back = "off the road, or stuck: the simulator put the car back"
     worlds = [(0.5, 0), (0.99, 0), (1.01, 0), (0.98, 0), (1.02, 1), (1.5, 1), (2.0, 3), (math.pi, 3)]
-    said = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in worlds]
-    assert said == [[], [], ["lap 1"], [], [back], [], [back, "lap 2"], ["lap 3"]]
+    printed = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in worlds]
+    assert printed == [[], [], ["lap 1"], [], [back], [], [back, "lap 2"], ["lap 3"]]

@@ -41,9 +41,9 @@ def serving_azurite(container: str) -> Iterator[int]:
     with subprocess.Popen([*line, "--disableTelemetry"], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            told = next(found for line in process.stdout if (found := re.search(r"listens on .*:(\d+)", line)))
-            _make_container(int(told[1]), container)
-            yield int(told[1])
+            reported = next(found for line in process.stdout if (found := re.search(r"listens on .*:(\d+)", line)))
+            _make_container(int(reported[1]), container)
+            yield int(reported[1])
         finally:
             process.kill()  # it does not end before connections do
 
@@ -65,8 +65,8 @@ def way_to_azurite(container: str) -> Iterator[FaultyProxy]:
 def _make_container(port: int, name: str) -> None:
     """By a request signed as Azure has it ("Authorize with Shared Key")."""
     headers = {"x-ms-date": email.utils.formatdate(usegmt=True), "x-ms-version": "2020-10-02"}
-    told = "".join(f"{key}:{value}\n" for key, value in headers.items())
-    signed = "PUT" + 12 * "\n" + told + f"/{ACCOUNT}/{ACCOUNT}/{name}\nrestype:container"
+    reported = "".join(f"{key}:{value}\n" for key, value in headers.items())
+    signed = "PUT" + 12 * "\n" + reported + f"/{ACCOUNT}/{ACCOUNT}/{name}\nrestype:container"
     signature = hmac.digest(base64.b64decode(ACCOUNT_KEY), signed.encode(), hashlib.sha256)
     headers["Authorization"] = f"SharedKey {ACCOUNT}:{base64.b64encode(signature).decode()}"
     asked = http.client.HTTPConnection("127.0.0.1", port)

@@ -45,7 +45,7 @@ class Passing(BaseHTTPRequestHandler):
         time.sleep(self.proxy.delay_s)
         if not self.proxy.answer(self):
             status, headers, data = self._passed()
-            self._say(status, headers, data)
+            self._send(status, headers, data)
 
     do_GET = do_HEAD = do_PUT = do_POST = do_DELETE = _answered  # noqa: N815
 
@@ -53,7 +53,7 @@ class Passing(BaseHTTPRequestHandler):
         """Answer with an error of S3; the server is not asked."""
         self._sent(self._to_come)
         body = f"<Error><Code>{code}</Code><Message>as the test says</Message></Error>".encode()
-        return self._say(status, [], body)
+        return self._send(status, [], body)
 
     def hang_up(self) -> bool:
         """Cut the connection in the middle of what is sent; the server is not asked."""
@@ -69,14 +69,14 @@ class Passing(BaseHTTPRequestHandler):
         """The server does what it was asked, and the connection is cut in the middle of its answer's bytes."""
         status, headers, data = self._passed()
         if data:
-            self._say(status, headers, data[: len(data) // 2], said=len(data))
+            self._send(status, headers, data[: len(data) // 2], announced=len(data))
         return self._close()
 
     def truncate(self) -> bool:
         """The first half of an answer, as if it were all: what comes ends early, and says so nowhere but in what
         the range is said to be."""
         status, headers, data = self._passed()
-        return self._say(status, headers, data[: len(data) // 2])
+        return self._send(status, headers, data[: len(data) // 2])
 
     def fail_after(self) -> bool:
         """The server does what it was asked, and the answer is that it could not."""
@@ -104,9 +104,9 @@ class Passing(BaseHTTPRequestHandler):
         self._length = answer.getheader("Content-Length")  # also of what HEAD asks about
         return answer.status, answer.getheaders(), data
 
-    def _say(self, status: int, headers: list[tuple[str, str]], data: bytes, said: int | None = None) -> bool:
+    def _send(self, status: int, headers: list[tuple[str, str]], data: bytes, announced: int | None = None) -> bool:
         is_head = self.command == "HEAD"
-        length = self._length if is_head and headers else len(data) if said is None else said
+        length = self._length if is_head and headers else len(data) if announced is None else announced
         self.send_response(status)
         for name, value in headers:
             if name.lower() not in _OF_THE_WAY:

@@ -17,7 +17,7 @@ def topics(image: str | None = None, steering: str | None = None, steering_scale
 
 
 def import_csv(
-    source: Path, log: Path, columns: Sequence[str], *, overwrite: bool = False, **said: Any
+    source: Path, log: Path, columns: Sequence[str], *, overwrite: bool = False, **printed: Any
 ) -> Imported:
     """`said`: fields of ImportSettings."""
-    return import_recording(source, log, ImportSettings(columns=tuple(columns), **said), overwrite=overwrite)
+    return import_recording(source, log, ImportSettings(columns=tuple(columns), **printed), overwrite=overwrite)

@@ -35,8 +35,8 @@ def main() -> None:
     shutil.rmtree(folder / "run" / "last")  # four times as large as the weights
     for name in ("state.json", ".lock"):  # of this machine
         (index / name).unlink()
-    told = json.dumps(expected(folder, index), indent=1)
-    (folder / "expected.json").write_text(told + "\n", encoding="utf-8")
+    reported = json.dumps(expected(folder, index), indent=1)
+    (folder / "expected.json").write_text(reported + "\n", encoding="utf-8")
 
 
 def expected(folder: Path, index: Path) -> dict[str, object]:

@@ -44,7 +44,7 @@ def write_dataset(
     (folder / "data/chunk-000").mkdir(parents=True)
     (folder / "meta").mkdir()
     pq.write_table(pa.table({**required, **typed}), folder / "data/chunk-000/file-000.parquet")
-    told = {
+    reported = {
         "codebase_version": "v3.0",
         "fps": 20,
         "robot_type": "a_car",
@@ -59,7 +59,7 @@ def write_dataset(
         "total_frames": len(frames),
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
     }
-    (folder / "meta/info.json").write_text(json.dumps({**told, **info}))
+    (folder / "meta/info.json").write_text(json.dumps({**reported, **info}))
     return folder
 
 

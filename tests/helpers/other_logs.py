@@ -37,11 +37,11 @@ def image(picture: bytes) -> CompressedImage:
     return CompressedImage(frame_id="camera", data=picture, format="jpeg")
 
 
-def write_mcap(path: Path, told: Iterable[Told], **options: Any) -> Path:
+def write_mcap(path: Path, reported: Iterable[Told], **options: Any) -> Path:
     """A file as another program would write it: protobuf messages, and dictionaries or bytes as JSON."""
     with plain_writer(path, profile="other", library="other 1.0", **options) as writer:
         channels: dict[str, int] = {}
-        for topic, time_s, content in told:
+        for topic, time_s, content in reported:
             if topic not in channels:
                 if isinstance(content, Message):
                     schema, encoding = register_schema(writer, type(content)), "protobuf"

@@ -70,7 +70,7 @@ def opened_page(browser: Browser, address: str, *, width: int = 1280) -> Iterato
     """A page, opened with the token, 1280x800 or as much larger as it is wider; nothing may go wrong in it."""
     errors: list[str] = []
 
-    def said(message: ConsoleMessage) -> None:
+    def printed(message: ConsoleMessage) -> None:
         # Rerun's viewer asks for what it may not; a refusal is what some tests are about, and said in the page
         is_expected = "/rerun/" in message.location["url"] or "status of 4" in message.text
         if message.type == "error" and not is_expected:
@@ -79,7 +79,7 @@ def opened_page(browser: Browser, address: str, *, width: int = 1280) -> Iterato
     with (
         window_of(browser, width, width * 5 // 8) as page,
         heard(page, "pageerror", lambda error: errors.append(str(error))),
-        heard(page, "console", said),
+        heard(page, "console", printed),
     ):
         page.goto(with_token(address))
         yield page

@@ -52,12 +52,12 @@ def as_tub(folder: Path, rows: Sequence[Row]) -> Made:
 
 def as_mcap(folder: Path, rows: Sequence[Row]) -> Made:
     folder.mkdir(parents=True)
-    told = [
+    reported = [
         message
         for time_s, steering, picture in rows
         for message in ((WHEEL, time_s, angle(steering)), (CAMERA, time_s, image(picture)))
     ]
-    source = write_mcap(folder / "other.mcap", told)
+    source = write_mcap(folder / "other.mcap", reported)
     return source, ImportSettings(image=CAMERA, steering=f"{WHEEL}.steering.angle")
 
 

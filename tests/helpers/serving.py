@@ -98,9 +98,9 @@ class Serving:
     """A server that runs in a thread until the context is left; what it said, and what its run raised."""
 
     def __init__(self, book: Any, port: int = 0, **options: Any) -> None:
-        self.said: list[str] = []
+        self.notices: list[str] = []
         self.error: BaseException | None = None
-        self.server = TelemetryServer(book, port=port, notify=self.said.append, **options)
+        self.server = TelemetryServer(book, port=port, notify=self.notices.append, **options)
         self.port = self.server.port
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._run)

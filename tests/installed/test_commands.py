@@ -20,7 +20,7 @@ PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf
 
 
 @pytest.mark.parametrize("command", PROJECT["scripts"])
-def test_every_command_says_what_it_does(made: Toolkit, command: str) -> None:
+def test_every_command_reports_what_it_does(made: Toolkit, command: str) -> None:
     assert made.do(command, "--help").startswith("usage: ")
 
 

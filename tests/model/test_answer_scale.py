@@ -125,7 +125,7 @@ def test_a_run_whose_scale_is_in_its_last_layer_drives_as_it_did(
     assert scaled == pytest.approx(0.5 * learnt + 0.1, abs=1e-5)
 
 
-def test_both_numbers_are_told(natural: Path, as_learnt: Path, index: Path) -> None:
+def test_both_numbers_are_reported(natural: Path, as_learnt: Path, index: Path) -> None:
     """Epoch by epoch in the run's history, by bc-train, and by bc-eval."""
     scaled, plain = (read_history(run)[0].epochs for run in (natural, as_learnt))
     for epoch, of_plain in zip(scaled, plain, strict=True):
@@ -134,7 +134,7 @@ def test_both_numbers_are_told(natural: Path, as_learnt: Path, index: Path) -> N
         assert epoch.answers != of_plain.answers == AnswerScale()
 
 
-def test_only_training_frames_tell_it_in_the_frequency_of_the_road(tmp_path: Path) -> None:
+def test_only_training_frames_show_it_in_the_frequency_of_the_road(tmp_path: Path) -> None:
     """Thirty frames of forty steer +-0.1; balancing leaves as many of them as of the ten at +-0.6. A network that
     answers as the balanced samples are spread is measured nearly against the forty."""
     steering = [0.1, -0.1, 0.1, -0.1, 0.1, -0.1, 0.6, -0.6] * 8

@@ -73,7 +73,7 @@ def test_a_run_in_its_first_epoch_has_learnt_0_of_those_asked_for(
     assert "people 0 of 3 - -" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_supervised_drive_says_how_many_interventions_are_a_persons(
+def test_a_supervised_drive_reports_how_many_interventions_are_a_persons(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "160")
@@ -86,7 +86,7 @@ def test_a_supervised_drive_says_how_many_interventions_are_a_persons(
     assert "10 mph: lake 2; supervised at 10 mph: mountain 3 (2 by a person) in 0.50 laps" in row
 
 
-def test_a_run_says_what_network_it_is_and_what_it_answers(
+def test_a_run_reports_what_network_it_is_and_what_it_answers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = a_run(tmp_path, "quick")
@@ -134,8 +134,8 @@ def test_networks_measured_on_other_frames_are_marked_and_ranked_apart(
     printed = capsys.readouterr()
     lines = [line.split() for line in printed.out.splitlines() if " people " in line]
     assert [(line[0], line[5]) for line in lines] == [("dddd", "A"), ("ccc", "B"), ("bb", "C"), ("a", "C")]
-    said = " ".join(printed.err.split())
-    assert "`bc-eval dddd --session NAME` and `bc-eval ccc --session NAME`" in said.replace(".venv/bin/", "")
+    answers = " ".join(printed.err.split())
+    assert "`bc-eval dddd --session NAME` and `bc-eval ccc --session NAME`" in answers.replace(".venv/bin/", "")
 
 
 def test_a_run_that_holds_nothing_out_has_no_frames_to_compare(
@@ -210,7 +210,7 @@ def test_a_line_that_was_cut_off_takes_no_other_one_with_it(
     assert [kept["result"]["track"] for kept in shown["results"]] == ["lake", "mountain"]
 
 
-def test_without_runs_it_says_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_runs_it_reports_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a file").touch()
     assert call(bc_runs, "--runs", tmp_path / "a file") == 1
     assert "a file, not a folder; train a run with `bc-train`" in capsys.readouterr().err

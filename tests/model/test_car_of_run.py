@@ -59,13 +59,13 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(cwd: Path, capsys: p
 
     capsys.readouterr()
     assert call(bc_eval, "own", "--index", "index-own", "--split", "train", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     with Log("sessions/own.mcap") as log:
         spread_deg = json.loads(log.read_metadata("bc.quality")["steering"])["spread_deg"]
     assert spread_deg == pytest.approx(30 * np.std([math.sin(row / 5) for row in range(ROWS)]))
     samples = pq.read_table("index-own/samples.parquet").to_pylist()
     driven = [row["recorded"] for row in samples if row["split"] == "train" and not row["flip"]]
-    assert told["zero"]["rmse_deg"] == pytest.approx(30 * np.sqrt(np.mean(np.square(driven))))
+    assert printed["zero"]["rmse_deg"] == pytest.approx(30 * np.sqrt(np.mean(np.square(driven))))
     (epoch,) = read_history(Path("runs/own"))[0].epochs
     assert epoch.measures.max_deg == 30
     assert epoch.validation_loss == pytest.approx((epoch.measures.network.rmse_deg / 30) ** 2)
@@ -78,7 +78,7 @@ def test_a_run_has_the_steering_and_the_car_of_its_sessions(cwd: Path, capsys: p
     assert not Path("runs/both").exists()
 
 
-def test_an_index_is_made_anew_where_a_session_tells_another_car(cwd: Path) -> None:
+def test_an_index_is_made_anew_where_a_session_shows_another_car(cwd: Path) -> None:
     """The rows are the same, and the log is as long: only what it says of its car has changed."""
     labels = []
     for wheelbase_m in (2.4, 2.0, 2.4):

@@ -96,7 +96,7 @@ def test_one_flipped_bit_is_found_wherever_weights_are_loaded(index: Path, run: 
         lambda: evaluate_sessions(run, [log]),
         lambda: export_onnx(run, tmp_path / "first.onnx"),
         lambda: predict_log(log, [run]),
-        lambda: predict_log(log, [run], on_attention=lambda *told: None),
+        lambda: predict_log(log, [run], on_attention=lambda *reported: None),
         lambda: train(index, tmp_path / "second", ONE, init=run),
     ):
         refused(action, weights(run))

@@ -98,16 +98,16 @@ def swap_channels(weights: Weights) -> None:
 def compared(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, Json, list[str]]:
     """Exit code, the JSON, and the messages."""
     code = call(main, "compare", *arguments, "--json")
-    told = capsys.readouterr()
-    (line,) = told.out.splitlines()
+    reported = capsys.readouterr()
+    (line,) = reported.out.splitlines()
     result: Json = json.loads(line, parse_constant=pytest.fail)
-    return code, result, told.err.splitlines()
+    return code, result, reported.err.splitlines()
 
 
 def test_a_run_is_no_worse_than_itself(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, result, told = compared(capsys, "good", "good", "--session", "new")
+    code, result, reported = compared(capsys, "good", "good", "--session", "new")
     assert (code, result["verdict"]) == (0, "not told apart")
-    assert told == [SAME]
+    assert reported == [SAME]
     assert (result["frames"], result["blocks"]) == (len(STEERING), 12)
     for measure in result["measures"].values():
         assert measure["a"] == measure["b"]
@@ -176,17 +176,19 @@ def test_of_too_few_blocks_nothing_is_said_but_that(
 
 def test_the_frames_are_those_that_the_index_of_a_holds_out(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And a run that has learnt from some of them is named: here from pictures of its own index."""
-    code, result, told = compared(capsys, "good", "good")
-    assert (code, result["index"], result["split"], told) == (0, "index-good", "validation", [SAME])
+    code, result, reported = compared(capsys, "good", "good")
+    assert (code, result["index"], result["split"], reported) == (0, "index-good", "validation", [SAME])
     assert result["learnt"] == {"a": 0, "b": 0}
-    code, result, told = compared(capsys, "good", "shifted", "--index", "index-shifted", "--split", "train")
+    code, result, reported = compared(capsys, "good", "shifted", "--index", "index-shifted", "--split", "train")
     assert result["learnt"] == {"a": 0, "b": result["frames"]}
-    code, result, told = compared(capsys, "good", "good", "--session", "good.mcap")
+    code, result, reported = compared(capsys, "good", "good", "--session", "good.mcap")
     assert code == 3
-    assert [line.split(" of these")[0] for line in told[1:]] == [f"good has learnt from {result['learnt']['a']}"]
+    assert [line.split(" of these")[0] for line in reported[1:]] == [
+        f"good has learnt from {result['learnt']['a']}"
+    ]
 
 
-def test_the_table_tells_what_the_json_does(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_shows_what_the_json_does(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, result, _ = compared(capsys, "good", "shifted", "--session", "new")
     assert call(main, "compare", "good", "shifted", "--session", "new") == 0  # compared; only a gate fails
     shown = capsys.readouterr()
@@ -206,7 +208,7 @@ def test_the_table_tells_what_the_json_does(cwd: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "message"),
     [
         (["compare", "good", "shifted", "--worst", 3], "--worst"),
         (["compare", "good", "shifted", "--tolerance", -0.1], "--tolerance -0.1"),
@@ -217,10 +219,10 @@ def test_the_table_tells_what_the_json_does(cwd: Path, capsys: pytest.CaptureFix
     ],
 )
 def test_what_cannot_be_compared_is_one_line(
-    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[object], says: str
+    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[object], message: str
 ) -> None:
     assert call(main, *flags) == (1 if "shiftde" in flags else 2)
-    told = capsys.readouterr()
-    (line,) = told.err.splitlines()
-    assert says in line
-    assert told.out == ""
+    reported = capsys.readouterr()
+    (line,) = reported.err.splitlines()
+    assert message in line
+    assert reported.out == ""

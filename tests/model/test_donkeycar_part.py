@@ -160,11 +160,11 @@ def test_it_prints_the_next_steps_and_replaces_nothing_unasked(
 ) -> None:
     line = ["export", trained, "--donkeycar", tmp_path / "car"]
     assert call(main, *line) == 0
-    said = capsys.readouterr()
-    assert "input picture: uint8 (height, width, 3), RGB, 0..255, of any size" in said.out
+    printed = capsys.readouterr()
+    assert "input picture: uint8 (height, width, 3), RGB, 0..255, of any size" in printed.out
     files = f"{tmp_path / 'car' / 'first.onnx'} {tmp_path / 'car' / 'donkeycar_part.py'}"
-    assert said.err.splitlines()[-1].startswith(f"next: `scp {files} pi@donkeypi.local:mycar/`")
-    assert 'V.add(OnnxPilot("first.onnx"), inputs=["cam/image_array"],' in said.err
+    assert printed.err.splitlines()[-1].startswith(f"next: `scp {files} pi@donkeypi.local:mycar/`")
+    assert 'V.add(OnnxPilot("first.onnx"), inputs=["cam/image_array"],' in printed.err
     assert call(main, *line) == 1
     assert "first.onnx exists already" in capsys.readouterr().err
     assert call(main, *line, "--force") == 0

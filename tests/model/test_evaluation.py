@@ -167,7 +167,7 @@ def test_the_frames_are_a_table_of_what_was_measured(evaluation: Evaluation, hel
         assert 25 * row["recorded"] == pytest.approx(expected["recorded_deg"], abs=1e-5)
 
 
-def test_an_evaluation_says_what_training_said_of_its_best_epoch(
+def test_an_evaluation_reports_what_training_said_of_its_best_epoch(
     cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, "toy", "--json") == 0
@@ -201,14 +201,14 @@ def test_the_worst_frames_are_different_moments(
         assert frame["predicted_deg"] == pytest.approx(row["predicted_deg"], abs=1e-4)
         assert frame["recorded_deg"] == pytest.approx(row["recorded_deg"], abs=1e-5)
         assert frame["error_deg"] == pytest.approx(row["off_deg"], abs=1e-4)
-        said = datetime.fromisoformat(frame["log_time_utc"])
-        assert said.timestamp() == pytest.approx(row["log_time_ns"] / 1e9, abs=0.001)
+        printed = datetime.fromisoformat(frame["log_time_utc"])
+        assert printed.timestamp() == pytest.approx(row["log_time_ns"] / 1e9, abs=0.001)
     assert call(main, "toy", "--json", "--worst", 2) == 0
     assert json.loads(capsys.readouterr().out)["worst"] == worst[:2]
 
 
 @pytest.mark.parametrize(("late", "shown"), [(0, []), (3, ["0.30"])])
-def test_the_table_says_how_late_a_person_steers(
+def test_the_table_reports_how_late_a_person_steers(
     late: int, shown: list[str], cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     presses = np.random.default_rng(0).choice([-0.6, 0.0, 0.6], 60).repeat(4)
@@ -221,16 +221,16 @@ def test_the_table_says_how_late_a_person_steers(
 
 def test_the_tables_show_the_numbers_of_the_json(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "toy", "--json", "--worst", 2) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    (line,) = told.out.splitlines()
+    output = capsys.readouterr()
+    assert output.err == ""
+    (line,) = output.out.splitlines()
     result = json.loads(line)
     assert (result["run"], result["index"], result["split"], result["learnt"]) == ("toy", "index", "validation", 0)
 
     assert call(main, "toy", "--bins", "--worst", 2) == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    *lines, verdict, advice = told.out.splitlines()
+    output = capsys.readouterr()
+    assert output.err == ""
+    *lines, verdict, advice = output.out.splitlines()
     assert max(map(len, lines[:-1])) <= 80
     assert f"on turns ({result['network']['turning_mae_deg']:.2f} against" in verdict
     assert advice.startswith("next: `")
@@ -360,15 +360,15 @@ def test_frames_for_training_can_be_measured_and_that_is_said(
 ) -> None:
     count = sum(len(for_training(cwd, session)) for session in ("a", "b"))
     assert call(main, "toy", "--split", "train", "--json") == 0
-    told = capsys.readouterr()
-    result = json.loads(told.out)
+    output = capsys.readouterr()
+    result = json.loads(output.out)
     assert 0 < result["frames"] <= count  # balancing leaves some out
     assert result["learnt"] == result["frames"]
-    (line,) = told.err.splitlines()
+    (line,) = output.err.splitlines()
     assert line == f"bc-eval: toy has learnt from {result['frames']} of these {result['frames']} frames"
 
 
-def test_frames_of_crashes_are_told_apart(cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_frames_of_crashes_are_reported_apart(cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three seconds at a wall: the errors of all frames, and of all but these."""
     wall = range(25, 55)
     log = tmp_path / "crash.mcap"
@@ -393,11 +393,11 @@ def test_frames_of_crashes_are_told_apart(cwd: Path, tmp_path: Path, capsys: pyt
     assert result["without_crashes"]["network"]["rmse_deg"] == pytest.approx(rmse["others"])
     assert result["without_crashes"]["mean"]["balanced_rmse_deg"] > 0
     assert call(main, "toy", "--session", log) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in said
-    assert f"the verdict is without {len(crash)} frames of crashes" in said
-    assert f"({rmse['others']:.2f} against" in said
-    assert f"({rmse['all']:.2f} against" not in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"RMSE without crashes ({len(crash)}) {rmse['others']:.2f}" in printed
+    assert f"the verdict is without {len(crash)} frames of crashes" in printed
+    assert f"({rmse['others']:.2f} against" in printed
+    assert f"({rmse['all']:.2f} against" not in printed
     assert call(main, "toy", "--session", "new", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["crashes"], result["without_crashes"]) == (0, None)
@@ -407,9 +407,9 @@ def test_whole_sessions_that_the_run_never_had_are_measured_by_frame(
     cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, "toy", "--session", "new", "--json") == 0
-    told = capsys.readouterr()
-    assert told.err == ""
-    result = json.loads(told.out)
+    output = capsys.readouterr()
+    assert output.err == ""
+    result = json.loads(output.out)
     assert (result["frames"], result["learnt"], list(result["sessions"])) == (len(STEERING), 0, ["new"])
     pilot = load_pilot(cwd / "runs" / "toy", "float32")
     off = [
@@ -462,7 +462,7 @@ def edited(data: Row, part: str, **values: Any) -> Row:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "output",
     [
         lambda data: {"data": None},
         lambda data: {"data": [1]},
@@ -475,9 +475,9 @@ def edited(data: Row, part: str, **values: Any) -> Row:
     ],
 )
 def test_a_run_that_does_not_say_what_it_has_learnt_from_is_not_trusted(
-    run: Path, capsys: pytest.CaptureFixture[str], told: Any
+    run: Path, capsys: pytest.CaptureFixture[str], output: Any
 ) -> None:
-    change(run, **told(data_of(run)))
+    change(run, **output(data_of(run)))
     assert call(main, run, "--json") == 3
     shown = capsys.readouterr()
     assert json.loads(shown.out)["learnt"] is None
@@ -540,7 +540,7 @@ def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "text"),
     [
         (["--laps", 2], "--laps: no such flag"),
         (["drive", "toy", "--tracks"], "--tracks: expected TRACK [TRACK ...] after it"),
@@ -555,13 +555,13 @@ def test_a_network_of_no_numbers_is_one_line(run: Path, capsys: pytest.CaptureFi
     ],
 )
 def test_flags_that_do_not_go_together_are_one_line(
-    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[object], says: str
+    cwd: Path, capsys: pytest.CaptureFixture[str], flags: list[object], text: str
 ) -> None:
     missing = {"nobody", "nowhere"}.intersection(map(str, flags))  # what could be there is no bad usage
     run = [] if "drive" in flags else ["toy"]
     assert call(main, *run, *flags) == (1 if missing else 2)
     shown = capsys.readouterr()
     (line,) = shown.err.splitlines()
-    assert says in line
+    assert text in line
     assert shown.out == ""
     assert not (cwd / "drives").exists()

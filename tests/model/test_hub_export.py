@@ -104,7 +104,7 @@ def test_it_loads_by_its_card_with_the_toolkit_and_without(trained: Path, export
     assert printed(hidden + without, elsewhere) == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_hub_is_told_licence_tags_and_measures(trained: Path, exported: Path) -> None:
+def test_the_hub_is_reported_licence_tags_and_measures(trained: Path, exported: Path) -> None:
     content = front_matter(exported)
     last = [json.loads(line) for line in (trained / "metrics.jsonl").read_text().splitlines()]
     best = next(epoch for epoch in reversed(last) if epoch["is_best"])
@@ -128,7 +128,7 @@ def test_the_hubs_own_reader_takes_the_card(exported: Path) -> None:
     assert {result.metric_type for result in data.eval_results} == {"rmse", "mae"}
 
 
-def test_the_card_says_if_it_has_learnt_nothing(trained: Path, exported: Path, tmp_path: Path) -> None:
+def test_the_card_reports_if_it_has_learnt_nothing(trained: Path, exported: Path, tmp_path: Path) -> None:
     no_better = "**No better than always predicting the mean.**"
     assert no_better not in section(exported, "How well")
     run = shutil.copytree(trained, tmp_path / "first")
@@ -139,26 +139,26 @@ def test_the_card_says_if_it_has_learnt_nothing(trained: Path, exported: Path, t
     assert no_better in section(export_to_hub(run, tmp_path / "hub").folder, "How well")
 
 
-def test_the_card_says_where_it_drives_and_where_not(exported: Path) -> None:
-    told = section(exported, "Where it drives, and where not")
-    assert "- Without an intervention: lake (2.00 laps at 10 mph).\n" in told
-    assert "- Not without an intervention: mountain (2.00 laps at 10 mph).\n" in told
-    assert "| mountain (2.00 laps at 10 mph) | 2.00 | 3 | 98.7 % |" in told
+def test_the_card_reports_where_it_drives_and_where_not(exported: Path) -> None:
+    reported = section(exported, "Where it drives, and where not")
+    assert "- Without an intervention: lake (2.00 laps at 10 mph).\n" in reported
+    assert "- Not without an intervention: mountain (2.00 laps at 10 mph).\n" in reported
+    assert "| mountain (2.00 laps at 10 mph) | 2.00 | 3 | 98.7 % |" in reported
 
 
-def test_of_a_run_that_says_nothing_the_card_says_so(
+def test_of_a_run_that_reports_nothing_the_card_says_so(
     trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = untrained_run(tmp_path / "runs" / "first")
     shutil.copy(trained / "model.safetensors", run)  # whose export is made already
     assert call(main, "export", run, "--hub", tmp_path / "hub") == 0
-    said, told = capsys.readouterr().err, (tmp_path / "hub" / "README.md").read_text()
-    assert "bc-eval" in said
-    assert said.splitlines()[-1].startswith(f"next: `hf upload first {tmp_path / 'hub'}`")
-    assert "--license" in said
-    assert "Not stated: ask its author" in told
-    assert "Its errors are unknown" in told
-    assert "It has not driven yet" in told
+    output, reported = capsys.readouterr().err, (tmp_path / "hub" / "README.md").read_text()
+    assert "bc-eval" in output
+    assert output.splitlines()[-1].startswith(f"next: `hf upload first {tmp_path / 'hub'}`")
+    assert "--license" in output
+    assert "Not stated: ask its author" in reported
+    assert "Its errors are unknown" in reported
+    assert "It has not driven yet" in reported
     assert "model-index" not in front_matter(tmp_path / "hub")
 
 
@@ -218,14 +218,14 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
     settings = replace(SMALL, epochs=1, batch=40, network=f"{source}:Net")
     run = train(index, tmp_path / "runs" / "mine", settings).run
     assert call(main, "export", run, "--network", f"{source}:Net", "--hub", tmp_path / "hub") == 3
-    said = "hub: without an ONNX file: its network cannot be written as ONNX: ONNX lacks a part of it"
-    assert said in capsys.readouterr().err
+    output = "hub: without an ONNX file: its network cannot be written as ONNX: ONNX lacks a part of it"
+    assert output in capsys.readouterr().err
     assert not (tmp_path / "hub" / "model.onnx").exists()
     assert len(snippets(tmp_path / "hub")) == 1
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "output"),
     [
         ((), "give one of --onnx for a file, "),
         (("--onnx", "a", "b"), "--onnx: expected [FILE]"),
@@ -235,7 +235,7 @@ def test_a_network_that_onnx_cannot_hold_goes_without(
     ],
 )
 def test_flags_of_an_export_that_do_not_go_together(
-    trained: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], said: str
+    trained: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], output: str
 ) -> None:
     assert call(main, "export", trained, *flags) == 2
-    assert said in capsys.readouterr().err
+    assert output in capsys.readouterr().err

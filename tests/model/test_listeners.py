@@ -57,30 +57,32 @@ def lines(path: Path) -> list[dict[str, float]]:
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
-def test_code_that_is_named_is_told_of_every_step_and_epoch(flags: tuple[object, ...], tmp_path: Path) -> None:
+def test_code_that_is_named_is_reported_of_every_step_and_epoch(flags: tuple[object, ...], tmp_path: Path) -> None:
     assert call(main, *flags, f"{tmp_path / 'mine.py'}:Notes") == 0
-    first, *told = lines(tmp_path / "notes.jsonl")
+    first, *output = lines(tmp_path / "notes.jsonl")
     assert first == {"run": "first", "epochs": 2}
     epochs = lines(tmp_path / "runs" / "first" / "metrics.jsonl")
-    assert [point["loss/validation"] for point in told if "epoch" in point] == [
+    assert [point["loss/validation"] for point in output if "epoch" in point] == [
         e["validation_loss"] for e in epochs
     ]
     steps = lines(tmp_path / "runs" / "first" / "steps.jsonl")
-    assert [point["loss/steps"] for point in told if "loss/steps" in point] == [e["training_loss"] for e in steps]
+    assert [point["loss/steps"] for point in output if "loss/steps" in point] == [
+        e["training_loss"] for e in steps
+    ]
 
 
 def test_one_that_fails_is_said_and_the_training_goes_on(
     flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, *flags, f"{tmp_path / 'mine.py'}:Broken") == 3
-    said = "Broken receives nothing more of this training: ConnectionError: no such server"
-    assert said in capsys.readouterr().err
+    printed = "Broken receives nothing more of this training: ConnectionError: no such server"
+    assert printed in capsys.readouterr().err
     assert len(lines(tmp_path / "runs" / "first" / "metrics.jsonl")) == 2
     assert (tmp_path / "runs" / "first" / "model.safetensors").exists()
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "printed"),
     [
         ("nothing", "expected a listener with step, epoch and close; it has no step"),
         ("fails", r"mine.py:fails fails (ValueError: no key)"),
@@ -88,10 +90,10 @@ def test_one_that_fails_is_said_and_the_training_goes_on(
     ],
 )
 def test_what_is_no_listener_is_one_line_before_anything_is_trained(
-    flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, said: str
+    flags: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, printed: str
 ) -> None:
     assert call(main, *flags, f"{tmp_path / 'mine.py'}:{name}") == 1
-    assert said in one_line_in(capsys)
+    assert printed in one_line_in(capsys)
     assert not (tmp_path / "runs").exists()
 
 

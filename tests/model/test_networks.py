@@ -98,7 +98,7 @@ def test_a_run_of_before_there_was_a_choice_has_the_original_network(
     assert isinstance(load_network(run), SteeringNetwork)
 
 
-def test_its_config_says_which_network_and_what_it_sees(run: Path) -> None:
+def test_its_config_reports_which_network_and_what_it_sees(run: Path) -> None:
     config = json.loads((run / "config.json").read_text())
     assert config["network"] == {"name": run.name, "arguments": {}}
     assert config["parameters"] == sum(p.numel() for p in load_network(run).parameters())
@@ -144,11 +144,11 @@ def test_it_is_exported(run: Path, tmp_path: Path) -> None:
     example = (
         session.get_modelmeta().custom_metadata_map["example"].replace("print(steering)", "said.append(steering)")
     )
-    said: list[float] = []
+    printed: list[float] = []
     code = compile(example.replace("sys.argv[1]", "network").replace("sys.argv[2]", "picture"), "example", "exec")
-    exec(code, {"said": said, "network": tmp_path / "network.onnx", "picture": str(tmp_path / "picture.png")})
+    exec(code, {"said": printed, "network": tmp_path / "network.onnx", "picture": str(tmp_path / "picture.png")})
     pilot = load_pilot(run, "float32")
-    assert said == pytest.approx([pilot.predict(pilot.crop(picture))], abs=1e-4)
+    assert printed == pytest.approx([pilot.predict(pilot.crop(picture))], abs=1e-4)
 
 
 def test_networks_of_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: 
 
 
 @pytest.mark.parametrize(
-    ("flags", "said", "code"),
+    ("flags", "printed", "code"),
     [
         (["--network", "resnet19"], "did you mean resnet18?", 2),
         (["--network", "small", "--picture-px", 20, 20], "cannot take pictures of 20 x 20 px", 1),
@@ -197,11 +197,11 @@ def test_a_run_starts_only_from_weights_of_the_same_network_and_pictures(index: 
     ],
 )
 def test_what_cannot_be_trained_is_one_line(
-    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[object], said: str, code: int
+    index: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[object], printed: str, code: int
 ) -> None:
     assert call(main, "--index", index, "--runs", tmp_path, *flags) == code
     lines = capsys.readouterr().err.splitlines()
-    assert said in " ".join(lines)
+    assert printed in " ".join(lines)
     assert code == 2 or len(lines) == 1
     assert list(tmp_path.iterdir()) == []
 

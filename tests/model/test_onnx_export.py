@@ -136,12 +136,12 @@ def test_steering_is_not_clamped(trained: Path, tmp_path: Path) -> None:
     assert steering > 1
 
 
-def test_it_says_which_run_it_is(trained: Path, exported: Path) -> None:
-    said = metadata(exported)
-    assert said["run"] == "first"
-    assert said["weights_sha256"] == hashlib.sha256((trained / "model.safetensors").read_bytes()).hexdigest()
-    assert said["steering.degrees_per_unit"] == "25"
-    assert said["toolkit"].startswith("behavioural-cloning-toolkit ")
+def test_it_reports_which_run_it_is(trained: Path, exported: Path) -> None:
+    printed = metadata(exported)
+    assert printed["run"] == "first"
+    assert printed["weights_sha256"] == hashlib.sha256((trained / "model.safetensors").read_bytes()).hexdigest()
+    assert printed["steering.degrees_per_unit"] == "25"
+    assert printed["toolkit"].startswith("behavioural-cloning-toolkit ")
 
 
 def test_the_same_run_gives_the_same_bytes_wherever_it_lies(
@@ -165,14 +165,14 @@ def test_without_a_name_the_file_lies_in_the_run_and_the_python_runs_it(
 ) -> None:
     copy = shutil.copytree(trained, cwd / "runs" / "first")
     assert call(main, "export", "--onnx", "first") == 0  # the flag may stand before the run
-    said = capsys.readouterr()
-    written, taken = said.out.splitlines()
+    printed = capsys.readouterr()
+    written, taken = printed.out.splitlines()
     assert written.startswith(f"{Path('runs') / 'first' / 'first.onnx'}: written; ")
     assert float(written.rpartition("largest difference ")[2]) < 1e-4
     assert taken == "input pictures: uint8 (N, 128, 128, 3), BGR, 0..255, cropped and resized"
     assert (copy / "first.onnx").read_bytes() == exported.read_bytes()
     picture = pictures(cwd)[-1]
-    heading, *code, step = said.err.splitlines()
+    heading, *code, step = printed.err.splitlines()
     assert step.startswith("next: `python -m pip install onnxruntime opencv-python-headless`")
     shown = textwrap.dedent("\n".join(code)).replace("picture.jpg", picture.as_posix())
     shown = shown.replace("runs/first/first.onnx", (copy / "first.onnx").as_posix())
@@ -225,7 +225,7 @@ def with_weights(run_folder: Path, copy: Path, change: Callable[[Weights], objec
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "printed"),
     [
         (lambda weights: weights["features.0.weight"].fill(np.nan), r"ONNX Runtime and PyTorch differs by nan"),
         (lambda weights: weights["head.11.weight"].fill(1e6), r"differs by .*, expected less than 0\.0001"),
@@ -234,15 +234,15 @@ def with_weights(run_folder: Path, copy: Path, change: Callable[[Weights], objec
     ids=["no numbers", "huge", "missing"],
 )
 def test_what_does_not_steer_as_the_run_does_gets_no_name(
-    trained: Path, tmp_path: Path, change: Callable[[Weights], object], said: str
+    trained: Path, tmp_path: Path, change: Callable[[Weights], object], printed: str
 ) -> None:
     broken = with_weights(trained, tmp_path / "broken", change)
-    with pytest.raises(RunError, match=said):
+    with pytest.raises(RunError, match=printed):
         export_onnx(broken, tmp_path / "new" / "broken.onnx")
     assert list(tmp_path.iterdir()) == [broken]
 
 
-def test_without_its_packages_the_error_says_how_to_get_them(
+def test_without_its_packages_the_error_reports_how_to_get_them(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnxscript", None)
@@ -254,8 +254,8 @@ def test_without_its_packages_the_error_says_how_to_get_them(
 def test_a_full_disk_leaves_what_was_there(trained: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine.onnx"
     mine.write_text("mine")
-    says = r"mine\.onnx: cannot be written \(File too large\); make room"
-    with files_of_at_most(1_000_000), pytest.raises(RunError, match=says):
+    message = r"mine\.onnx: cannot be written \(File too large\); make room"
+    with files_of_at_most(1_000_000), pytest.raises(RunError, match=message):
         export_onnx(trained, mine, overwrite=True)
     assert list(tmp_path.iterdir()) == [mine]
     assert mine.read_text() == "mine"

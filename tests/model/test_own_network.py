@@ -125,9 +125,9 @@ def test_nobodys_code_runs_because_a_run_names_it(
     ]
     for command, arguments in lines:
         assert call(command, *arguments, "--runs", run.parent) == 1
-        (said,) = capsys.readouterr().err.splitlines()
-        assert flag in said
-        assert "runs only if you name it" in said
+        (output,) = capsys.readouterr().err.splitlines()
+        assert flag in output
+        assert "runs only if you name it" in output
     with pytest.raises(RunError, match=refused):
         load_pilot(run)
     assert not has_run.exists()
@@ -163,7 +163,7 @@ def test_a_module_that_a_run_names_is_not_imported(tmp_path: Path) -> None:
         load_pilot(run)
 
 
-def test_a_file_that_has_changed_since_is_told(index: Path, tmp_path: Path) -> None:
+def test_a_file_that_has_changed_since_is_reported(index: Path, tmp_path: Path) -> None:
     path, run = trained(index, tmp_path)
     config = json.loads((run / "config.json").read_text())
     config["network"]["file_sha256"] = "0" * 64
@@ -182,8 +182,8 @@ def test_what_its_layers_cannot_do_is_said(index: Path, tmp_path: Path) -> None:
     assert load_answer_scale(done.run).scale != 1.0
     picture = decode(road_jpeg(1))
     pilots = [load_pilot(done.run, "float32"), load_pilot(done.run, "bfloat16")]
-    said = [pilot.predict(pilot.crop(picture)) for pilot in pilots]
-    assert said[0] == pytest.approx(said[1], abs=0.02)
+    output = [pilot.predict(pilot.crop(picture)) for pilot in pilots]
+    assert output[0] == pytest.approx(output[1], abs=0.02)
     with pytest.raises(RunError, match=r"no nn\.ReLU after a convolution"):
         visual_backprop(load_network(done.run), as_input(pilots[0].crop(picture)[None]))
     with pytest.raises(
@@ -212,7 +212,7 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
 
 
 @pytest.mark.parametrize(
-    ("source", "said"),
+    ("source", "output"),
     [
         ("import nothing_of_the_kind", r"net\.py cannot be run \(ModuleNotFoundError"),
         ("class Net(", r"net\.py cannot be run \(SyntaxError"),
@@ -238,16 +238,16 @@ def body(made: str = "pass", answer: str = "return self.one(x.mean((2, 3)))") ->
         (body("self.one = nn.LazyLinear(1)"), r"network\.one\.weight has no size yet"),
     ],
 )
-def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, said: str) -> None:
-    if "GPU" in said:
+def test_what_cannot_be_trained_is_one_line(tmp_path: Path, source: str, output: str) -> None:
+    if "GPU" in output:
         require("no_gpu")
     path = written(tmp_path, source)
-    with pytest.raises(RunError, match=said) as caught:
+    with pytest.raises(RunError, match=output) as caught:
         choose_network(replace(ONE, network=f"{path}:Net")).try_out(ORIGINAL, torch.device("cpu"))
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_not_there_is_told_with_what_was_meant(cwd: Path) -> None:
+def test_what_is_not_there_is_reported_with_what_was_meant(cwd: Path) -> None:
     with pytest.raises(RunError, match=r"--network no\.such\.module:Net: .* cannot be imported"):
         load_code("no.such.module:Net")
     with pytest.raises(RunError, match=r"cannot be read .* give FILE\.py:CLASS, the file by its path"):

@@ -37,22 +37,22 @@ def as_trained(run: Path, crops: list[Image]) -> list[float]:
         return network(torch.from_numpy(np.stack(crops).transpose(0, 3, 1, 2).copy())).tolist()  # type: ignore[no-any-return]
 
 
-def test_float32_says_what_the_trained_network_says(run: Path, crops: list[Image]) -> None:
+def test_float32_reports_what_the_trained_network_says(run: Path, crops: list[Image]) -> None:
     pilot = load_pilot(run, "float32")
     assert pilot.arithmetic == "float32"
     assert [pilot.predict(crop) for crop in crops] == pytest.approx(as_trained(run, crops), abs=1e-5)
 
 
-def test_bfloat16_says_nearly_the_same(run: Path, crops: list[Image]) -> None:
+def test_bfloat16_reports_nearly_the_same(run: Path, crops: list[Image]) -> None:
     """To a quarter of a degree."""
     pilot = load_pilot(run, "bfloat16")
     assert pilot.arithmetic == "bfloat16"
-    said, exact = [pilot.predict(crop) for crop in crops], as_trained(run, crops)
-    assert said != pytest.approx(exact, abs=1e-6)  # it is really calculated otherwise
-    assert said == pytest.approx(exact, abs=0.01)
+    printed, exact = [pilot.predict(crop) for crop in crops], as_trained(run, crops)
+    assert printed != pytest.approx(exact, abs=1e-6)  # it is really calculated otherwise
+    assert printed == pytest.approx(exact, abs=0.01)
 
 
-def test_by_default_it_is_one_of_the_two_and_says_which(run: Path, crops: list[Image]) -> None:
+def test_by_default_it_is_one_of_the_two_and_reports_which(run: Path, crops: list[Image]) -> None:
     pilot = load_pilot(run)
     asked = load_pilot(run, "bfloat16" if pilot.arithmetic == "bfloat16" else "float32")
     assert [pilot.predict(crop) for crop in crops] == [asked.predict(crop) for crop in crops]
@@ -87,7 +87,7 @@ print(load_pilot(run, "bfloat16").predict(np.load(crop)))
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("broken", [math.nan, math.inf])
-def test_weights_that_are_no_numbers_are_told_and_not_raised(dtype: torch.dtype, broken: float) -> None:
+def test_weights_that_are_no_numbers_are_reported_and_not_raised(dtype: torch.dtype, broken: float) -> None:
     network = SteeringNetwork()
     with torch.no_grad():
         network.features[0].weight.fill_(broken)  # type: ignore[operator]

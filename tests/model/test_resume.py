@@ -156,7 +156,7 @@ def test_a_training_killed_again_and_again_ends_as_if_it_never_was(
     assert_same(run, whole)
 
 
-def test_ctrl_c_costs_nothing_and_says_how_to_go_on(index: Path, whole: Path, tmp_path: Path) -> None:
+def test_ctrl_c_costs_nothing_and_reports_how_to_go_on(index: Path, whole: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
         train(index, run, CONFIG, [At(1, 3, lambda: signal.raise_signal(signal.SIGINT))])
@@ -277,15 +277,15 @@ def test_a_run_goes_on_when_its_log_was_rewritten(index: Path, stopped: Path, tm
 
 def test_two_processes_do_not_train_one_run(index: Path, stopped: Path) -> None:
     before = (stopped / "metrics.jsonl").read_bytes()
-    told: list[str] = []
+    reported: list[str] = []
 
     def second() -> None:
         with pytest.raises(RunError) as caught:
             train(index, stopped, resume=True)
-        told.append(str(caught.value))
+        reported.append(str(caught.value))
 
     train(index, stopped, replace(CONFIG, epochs=3), [At(3, 3, second)], resume=True)
-    assert "is being trained by another process" in told[0]
+    assert "is being trained by another process" in reported[0]
     assert (stopped / "metrics.jsonl").read_bytes().startswith(before)
 
 
@@ -293,8 +293,8 @@ def test_a_disk_full_while_saving_leaves_the_checkpoint_before(index: Path, whol
     run = tmp_path / "run"
     train(index, run, replace(CONFIG, epochs=1))
     before = (run / "last" / "checkpoint.safetensors").read_bytes()
-    says = r"checkpoint\.safetensors: cannot be written \(File too large\); make room"
-    with files_of_at_most(800_000), pytest.raises(RunError, match=says):  # weights fit, Adam's moments do not
+    message = r"checkpoint\.safetensors: cannot be written \(File too large\); make room"
+    with files_of_at_most(800_000), pytest.raises(RunError, match=message):  # weights fit, Adam's moments do not
         train(index, run, CONFIG, resume=True)
     assert (run / "last" / "checkpoint.safetensors").read_bytes() == before
     assert not list(run.rglob("*.part"))
@@ -319,7 +319,7 @@ def edited(change: Callable[[dict[str, Any], dict[str, str]], object]) -> Callab
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "message"),
     [
         (cut, "cannot be read"),
         (lambda path: path.write_bytes(b"\x80\x04garbage" * 9), "cannot be read"),
@@ -345,10 +345,10 @@ def edited(change: Callable[[dict[str, Any], dict[str, str]], object]) -> Callab
     ],
 )
 def test_a_checkpoint_that_cannot_be_used_is_named(
-    index: Path, stopped: Path, damage: Callable[[Path], None], says: str
+    index: Path, stopped: Path, damage: Callable[[Path], None], message: str
 ) -> None:
     damage(stopped / "last" / "checkpoint.safetensors")
-    with pytest.raises(RunError, match=says) as caught:
+    with pytest.raises(RunError, match=message) as caught:
         train(index, stopped, replace(CONFIG, epochs=9), resume=True)
     assert "checkpoint.safetensors" in str(caught.value)
 
@@ -371,9 +371,9 @@ def test_settings_are_those_of_the_named_run_unless_flags_say_otherwise(
     )
     capsys.readouterr()
     assert call(main, "resume", "first", *places) == 0
-    said = capsys.readouterr().out
-    assert "all its epochs are learnt" in said
-    assert "continued in epoch" not in said
+    printed = capsys.readouterr().out
+    assert "all its epochs are learnt" in printed
+    assert "continued in epoch" not in printed
     assert call(main, "resume", "first", "--batch", 4, *places) == 1
     assert "began with --batch 8" in capsys.readouterr().err
     assert call(main, "resume", "nobody", *places) == 1
@@ -413,8 +413,8 @@ def test_like_builds_the_runs_own_index_again(
     before = (other / "samples.parquet").read_bytes()
     capsys.readouterr()
     assert call(main, "--name", "again", "--like", "first", "--index", other, *places) == 0
-    assert f"{other}: not the samples of " in (said := capsys.readouterr().err)
-    assert f"{other}-first" in said
+    assert f"{other}: not the samples of " in (printed := capsys.readouterr().err)
+    assert f"{other}-first" in printed
     runs = tmp_path / "runs"
     assert (runs / "again" / "model.safetensors").read_bytes() == (
         runs / "first" / "model.safetensors"

@@ -62,7 +62,7 @@ def other_preprocessing(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "message"),
     [
         (cut_weights, r"model\.safetensors: cannot be read"),
         (no_weights, r"model\.safetensors: cannot be read"),
@@ -76,12 +76,12 @@ def other_preprocessing(run: Path) -> None:
     ],
 )
 def test_a_damaged_run_is_a_run_error_that_names_the_file(
-    trained: Path, tmp_path: Path, damage: Callable[[Path], None], says: str
+    trained: Path, tmp_path: Path, damage: Callable[[Path], None], message: str
 ) -> None:
     run = tmp_path / "run"
     shutil.copytree(trained, run)
     damage(run)
-    with pytest.raises(RunError, match=says) as caught:
+    with pytest.raises(RunError, match=message) as caught:
         load_pilot(run)
     assert "\n" not in str(caught.value)
 

@@ -46,7 +46,7 @@ def test_the_loss_falls_and_beats_knowing_nothing(trained: tuple[Path, list[Epoc
     assert history[-1].training_loss < statistics.pvariance(STEERING)
 
 
-def test_the_run_says_where_it_comes_from(trained: tuple[Path, list[Epoch]], index: Path) -> None:
+def test_the_run_reports_where_it_comes_from(trained: tuple[Path, list[Epoch]], index: Path) -> None:
     run, _ = trained
     config = json.loads((run / "config.json").read_text())
     assert config["format"] == 4
@@ -120,12 +120,12 @@ def test_bc_train_builds_the_index_and_prints_each_epoch(
     line = ["--index", tmp_path / "index", "--sessions", index.parent, "--runs", tmp_path / "runs"]
     flags = ["--name", "first", "--epochs", 1, "--batch", 64, "--threads", 1]
     assert call(main, *line, *flags) == 3
-    told = capsys.readouterr()
-    assert "5,022,327 parameters" in told.out
-    assert "epoch  1: loss 0." in told.out
-    assert "nothing held out" in told.out  # four seconds are one block
-    assert "no index yet" in told.err
-    assert "no frame is held out, so the network's error is unknown" in told.err
+    reported = capsys.readouterr()
+    assert "5,022,327 parameters" in reported.out
+    assert "epoch  1: loss 0." in reported.out
+    assert "nothing held out" in reported.out  # four seconds are one block
+    assert "no index yet" in reported.err
+    assert "no frame is held out, so the network's error is unknown" in reported.err
     assert find_run(None, tmp_path / "runs") == tmp_path / "runs" / "first"
     assert call(main, *line, *flags) == 1
     assert "first: exists already" in capsys.readouterr().err
@@ -158,14 +158,14 @@ def test_an_index_of_bc_train_leaves_out_unreadable_logs_and_names_them(
     shutil.rmtree("index")
     flags = ["--name", "first", "--network", "small", "--epochs", 1, "--batch", 64, "--threads", 1]
     assert call(main, *flags) == 3
-    told = capsys.readouterr().err.splitlines()
+    reported = capsys.readouterr().err.splitlines()
     assert any("bad.mcap: not an MCAP log" in line for line in expected)
     assert any("killed.mcap.0a1b2c.part: not indexed" in line for line in expected)
-    assert set(told) >= {line for line in expected if "sessions/" in line}
+    assert set(reported) >= {line for line in expected if "sessions/" in line}
     assert json.loads(Path("runs/first/config.json").read_text())["data"]["logs"].keys() == {"good"}
 
 
-def test_an_index_that_is_built_again_for_like_tells_of_unfinished_logs(
+def test_an_index_that_is_built_again_for_like_shows_of_unfinished_logs(
     cwd: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("sessions").mkdir()
@@ -195,9 +195,9 @@ def test_a_run_whose_frames_were_chosen_in_sql_is_not_repeated(
     config.write_text(config.read_text().replace("row != 7", "row between 8 and 99"))
     capsys.readouterr()
     assert call(main, "--name", "again", "--like", "first") == 1
-    said = capsys.readouterr().err
-    assert "first/config.json: its index settings cannot be used (--where 'row between" in said
-    assert "write 5 <= row <= 9" in said
+    printed = capsys.readouterr().err
+    assert "first/config.json: its index settings cannot be used (--where 'row between" in printed
+    assert "write 5 <= row <= 9" in printed
 
 
 def test_no_index_is_built_of_logs_that_have_changed(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:

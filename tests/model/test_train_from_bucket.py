@@ -103,7 +103,7 @@ def test_a_copy_that_is_damaged_cut_or_gone_is_fetched_anew(
         assert learnt == [data for data, _ in expected[: loader.batches]]
 
 
-def test_without_room_for_the_logs_the_error_says_what_to_give(
+def test_without_room_for_the_logs_the_error_reports_what_to_give(
     indexes: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     size = sum(path.stat().st_size for path in (tmp_path / "server").rglob("*.mcap"))
@@ -121,7 +121,7 @@ def test_without_room_for_the_logs_the_error_says_what_to_give(
     assert not cached(tmp_path)
 
 
-def test_a_cache_that_cannot_be_written_says_so(indexes: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_cache_that_cannot_be_written_reports_so(indexes: tuple[Path, Path], tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "cache", ignore_errors=True)
     (tmp_path / "cache").write_text("no folder")
     with pytest.raises(UserError, match=r"cache: logs cannot be fetched to it .*BC_CACHE names another folder"):

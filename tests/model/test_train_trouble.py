@@ -89,8 +89,8 @@ def test_pictures_that_do_not_decode_are_left_out_named_and_counted(
     index = build_index([log], tmp_path / "index", IndexConfig(flip=False, block_s=0.5, gap_s=0)).path
     places = ["--index", index, "--sessions", tmp_path, "--runs", tmp_path / "runs"]
     assert call(main, "--name", "run", "--network", "small", "--epochs", 2, "--batch", 8, *places) == 3
-    said = capsys.readouterr().err
-    assert "skipped pictures that do not decode: 2 (toy row 2 center, toy row 3 center)" in said
+    printed = capsys.readouterr().err
+    assert "skipped pictures that do not decode: 2 (toy row 2 center, toy row 3 center)" in printed
     assert load_pilot(tmp_path / "runs" / "run")
 
 
@@ -117,10 +117,10 @@ def test_a_run_starts_from_the_weights_of_another(index: Path, trained: Path, tm
     assert load_pilot(run).weights_sha256
     ours, theirs = (load_file(folder / "model.safetensors") for folder in (run, trained))
     assert all(np.abs(ours[name] - theirs[name]).max() < 1e-20 for name in theirs)
-    told = json.loads((run / "config.json").read_text())["init"]
-    assert told["run"] == "first"
-    assert told["weights_sha256"] == load_pilot(trained).weights_sha256
-    assert told["data"][0]["fingerprint"]
+    reported = json.loads((run / "config.json").read_text())["init"]
+    assert reported["run"] == "first"
+    assert reported["weights_sha256"] == load_pilot(trained).weights_sha256
+    assert reported["data"][0]["fingerprint"]
 
 
 def test_that_the_run_it_starts_from_knows_what_is_held_out_is_said(
@@ -142,7 +142,7 @@ def test_the_last_epoch_can_be_asked_for_instead_of_the_best(trained: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"training": {"epochs": 1, "widgets": 3}}, "unknown settings: widgets"),
         ({"training": {"epochs": -1}}, "epochs"),
@@ -152,18 +152,18 @@ def test_the_last_epoch_can_be_asked_for_instead_of_the_best(trained: Path) -> N
     ],
 )
 def test_a_config_that_cannot_be_gone_on_with_is_named(
-    index: Path, trained: Path, tmp_path: Path, change: dict[str, Any], says: str
+    index: Path, trained: Path, tmp_path: Path, change: dict[str, Any], message: str
 ) -> None:
     run = Path(shutil.copytree(trained, tmp_path / "run"))
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(json.dumps(config | change))
-    with pytest.raises(RunError, match=says) as caught:
+    with pytest.raises(RunError, match=message) as caught:
         train(index, run, resume=True)
     assert "config.json" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "message"),
     [
         (["--name", "good"], "good: exists already; give another --name, or continue it: `bc-train resume"),
         (["continue", "nobody"], "nobody: no trained run there"),
@@ -186,7 +186,7 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     flags: list[str],
-    says: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
@@ -196,12 +196,12 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
     before = sorted(tmp_path.rglob("*"))
     assert call(main, *flags, "--sessions", index.parent) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert says in line
+    assert message in line
     assert sorted(tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "message"),
     [
         (["--epochs", -1], "--epochs -1: expected a whole number from 0 to 1,000,000"),
         (["--micro-batch", -1], "--micro-batch -1: expected a whole number from 0"),
@@ -224,11 +224,11 @@ def test_bad_usage_names_the_flag(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     flags: list[object],
-    says: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert call(main, *flags) == 2
-    assert one_line_in(capsys).startswith(f"bc-train: {says}")
+    assert one_line_in(capsys).startswith(f"bc-train: {message}")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -251,7 +251,7 @@ def test_a_disk_that_is_full_names_the_file_and_the_way_on(
     assert not (tmp_path / "second").exists()
 
 
-def told(folder: Path, kept: int, *lines: dict[str, object]) -> list[str]:
+def reported(folder: Path, kept: int, *lines: dict[str, object]) -> list[str]:
     folder.mkdir(exist_ok=True)
     write_lines(folder / "metrics.jsonl", lines)
     history, skipped = read_history(folder)
@@ -273,12 +273,12 @@ def line(
 
 def test_why_the_kept_epoch_is_not_that_of_the_least_rmse(tmp_path: Path) -> None:
     epochs = [line(1, 3.0, 5.0), line(2, 2.5, 6.0), line(3, 4.0, 7.0)]
-    (line_of_epochs,) = told(tmp_path / "a", 1, *epochs)
+    (line_of_epochs,) = reported(tmp_path / "a", 1, *epochs)
     assert line_of_epochs.startswith(
         "epoch 1 is kept for its balanced RMSE (5.00 against 6.00) and not epoch 2 for its RMSE"
         " (2.50 against 3.00)"
     )
-    assert told(tmp_path / "b", 2, line(1, 3.0, 6.0), line(2, 2.5, 5.0)) == []  # it has both
+    assert reported(tmp_path / "b", 2, line(1, 3.0, 6.0), line(2, 2.5, 5.0)) == []  # it has both
 
 
 def test_the_command_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,15 +59,15 @@ def test_a_training_counts_in_shares_and_its_files_in_degrees_of_25(
 ) -> None:
     monkeypatch.chdir(trained)
     assert call(bc_train, "--name", "again", *SMALL) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     (epoch,) = read_history(Path("runs/again"))[0].epochs
     (line,) = Path("runs/again/metrics.jsonl").read_text().splitlines()
     rmse_deg = json.loads(line)["validation"]["rmse_deg"]
     assert (json.loads(line)["max_deg"], epoch.measures.max_deg) == (None, None)
     assert epoch.validation_loss == pytest.approx((rmse_deg / 25) ** 2)
-    assert "held out, in % of full lock; always the mean" in said
-    assert f"RMSE {4 * rmse_deg:.2f}, balanced" in said
-    assert "degree" not in said
+    assert "held out, in % of full lock; always the mean" in printed
+    assert f"RMSE {4 * rmse_deg:.2f}, balanced" in printed
+    assert "degree" not in printed
 
 
 def test_an_evaluation_and_a_comparison_are_in_shares(
@@ -75,12 +75,12 @@ def test_an_evaluation_and_a_comparison_are_in_shares(
 ) -> None:
     monkeypatch.chdir(trained)
     assert call(bc_eval, "first", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["max_deg"] is None
+    output = json.loads(capsys.readouterr().out)
+    assert output["max_deg"] is None
     assert call(bc_eval, "first", "--worst", 3) == 0
     shown = capsys.readouterr().out
     assert "errors in % of full lock" in shown
-    assert f"{4 * told['network']['rmse_deg']:.2f}" in shown
+    assert f"{4 * output['network']['rmse_deg']:.2f}" in shown
     assert "worst frames, in % of full lock" in shown
     assert call(bc_eval, "compare", "first", "first", "--split", "train") in (0, 1)
     compared = capsys.readouterr().out
@@ -99,9 +99,9 @@ def test_a_card_and_a_file_for_others_say_that_the_angle_is_unknown(
     assert "in % of full lock, compared with constant predictions" in text
     assert "degrees" not in text
     session = onnxruntime.InferenceSession("hub/model.onnx", providers=["CPUExecutionProvider"])
-    said = session.get_modelmeta().custom_metadata_map
-    assert said["steering"].endswith("1 is full lock, an unknown angle")
-    assert "steering.degrees_per_unit" not in said
+    printed = session.get_modelmeta().custom_metadata_map
+    assert printed["steering"].endswith("1 is full lock, an unknown angle")
+    assert "steering.degrees_per_unit" not in printed
 
 
 def test_the_log_and_a_drive_with_the_run_say_it(

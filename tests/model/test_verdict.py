@@ -99,15 +99,15 @@ def test_the_two_lines_of_a_good_network() -> None:
 
 
 @pytest.mark.parametrize(("frames", "is_few"), [(81, True), (299, True), (300, False)])
-def test_a_verdict_on_few_frames_says_that_it_is_uncertain(frames: int, is_few: bool) -> None:
+def test_a_verdict_on_few_frames_reports_that_it_is_uncertain(frames: int, is_few: bool) -> None:
     few = measured(0.1, np.linspace(-0.6, 0.6, frames))
-    said = f"; only {frames} frames measured, so these errors are uncertain; "
+    printed = f"; only {frames} frames measured, so these errors are uncertain; "
     for driven in ((), ({"track": "lake", "set_speed_mph": 10.0, "interventions": 0},)):
         summary = verdict_of(numbers(measured=few, drives=driven)).summary
-        assert (said in summary) is ("uncertain" in summary) is is_few
+        assert (printed in summary) is ("uncertain" in summary) is is_few
 
 
-def test_a_network_that_is_worse_than_the_mean_says_so_first() -> None:
+def test_a_network_that_is_worse_than_the_mean_reports_so_first() -> None:
     """Better in two of the three is no excuse."""
     recorded = np.where(RECORDED == 0, 0.0, np.sign(RECORDED) * 0.06)
     predicted = np.where(RECORDED == 0, 0.0, recorded * -0.2)
@@ -160,10 +160,10 @@ def test_few_recordings_give_no_certain_verdict(hands: Any, error: float, expect
 
 
 @pytest.mark.parametrize(
-    ("hand", "says"), [("keys", "1.43, those that left from 0.83"), ("smooth", "0.86, those")]
+    ("hand", "message"), [("keys", "1.43, those that left from 0.83"), ("smooth", "0.86, those")]
 )
-def test_the_kind_of_an_unseen_recording_counts(hand: Hand, says: str) -> None:
-    assert says in verdict_of(numbers().of_rows(measured(0.1), ["new"], {"new": hand})).summary
+def test_the_kind_of_an_unseen_recording_counts(hand: Hand, message: str) -> None:
+    assert message in verdict_of(numbers().of_rows(measured(0.1), ["new"], {"new": hand})).summary
 
 
 def test_the_counts_are_those_of_the_study() -> None:
@@ -344,15 +344,15 @@ def test_a_verdict_is_made_of_what_the_folder_holds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("laps", "said"),
+    ("laps", "printed"),
     [((0.03,), "0.03 laps of 1 track"), ((1.0, 0.25), "1.25 laps of 2 tracks"), ((1.0, 1.0), "driven 2 tracks")],
 )
-def test_a_part_of_a_lap_is_no_driven_track(laps: tuple[float, ...], said: str) -> None:
+def test_a_part_of_a_lap_is_no_driven_track(laps: tuple[float, ...], printed: str) -> None:
     drives = tuple(
         {"track": f"random:{number}", "set_speed_mph": 10.0, "interventions": 0, "laps": of_drive}
         for number, of_drive in enumerate(laps)
     )
-    assert f"{said} with 0 interventions" in verdict_of(numbers(drives=drives)).summary
+    assert f"{printed} with 0 interventions" in verdict_of(numbers(drives=drives)).summary
 
 
 def test_a_run_of_the_version_before_is_judged_by_what_it_has(tmp_path: Path) -> None:

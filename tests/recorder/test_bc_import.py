@@ -39,7 +39,7 @@ def test_a_name_that_is_taken_is_refused_with_a_free_one(cwd: Path, capsys: pyte
     assert (cwd / "sessions" / "drive.mcap").read_bytes() == before
 
 
-def test_it_says_what_it_has_recognised_and_asks(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_reports_what_it_has_recognised_and_asks(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:
     as_csv(cwd / "table", [(time_s, 0.53 + (0 if number % 3 else 0.1), picture)
                            for number, (time_s, _, picture) in enumerate(ROWS)])  # fmt: skip
     columns = ("--columns", "image=p", "steering=s", "time_s=t")

@@ -114,11 +114,11 @@ def test_a_clock_of_whole_seconds_is_a_finding(tmp_path: Path, capsys: pytest.Ca
             writer.picture("center", row // 4 * 10**9, row, picture("center", row))
             writer.vehicle(row // 4 * 10**9, row, VehicleState(steering=row / 100, speed_mph=9.0))
     assert call(main, "check", tmp_path / "a.mcap") == 3
-    told = "stretches of rows at the same time: 3 (rows 0 to 3, rows 4 to 7, rows 8 to 11)"
-    assert told in capsys.readouterr().out
+    reported = "stretches of rows at the same time: 3 (rows 0 to 3, rows 4 to 7, rows 8 to 11)"
+    assert reported in capsys.readouterr().out
 
 
-def test_a_finding_ends_with_3_and_json_tells_each(
+def test_a_finding_ends_with_3_and_json_shows_each(
     tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1, 2.0, 0.3], picture)
@@ -129,9 +129,9 @@ def test_a_finding_ends_with_3_and_json_tells_each(
         *[f"  `bc-log tag {path} exclude --odd` excludes all that is sure"] * (place(path) == path),
     ]
     assert call(main, "check", place(path), "--json") == 3
-    told = json.loads(capsys.readouterr().out)
-    assert told["findings"] == [Finding("stretches of values out of range", "row 1")._asdict()]
-    assert (told["messages"], told["pictures_decoded"]) == (12, 9)
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["findings"] == [Finding("stretches of values out of range", "row 1")._asdict()]
+    assert (reported["messages"], reported["pictures_decoded"]) == (12, 9)
 
 
 def test_an_unfinished_log_is_checked_as_far_as_it_goes(
@@ -148,18 +148,18 @@ def test_an_unfinished_log_is_checked_as_far_as_it_goes(
 
 def info_of(path: Location, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     call(main, "info", path, "--json")
-    told: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return told
+    reported: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return reported
 
 
-def test_info_tells_what_is_in_a_log(tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_shows_what_is_in_a_log(tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 21, picture)
-    told = info_of(place(path), capsys)
-    assert told["duration_s"] == pytest.approx(2.0)
-    assert told["size_bytes"] == path.stat().st_size
-    assert told["session"]["source"] == "test"
-    assert told["start"] == "2024-07-13T14:13:20+00:00"
-    topics = {topic["topic"]: topic for topic in told["topics"]}
+    reported = info_of(place(path), capsys)
+    assert reported["duration_s"] == pytest.approx(2.0)
+    assert reported["size_bytes"] == path.stat().st_size
+    assert reported["session"]["source"] == "test"
+    assert reported["start"] == "2024-07-13T14:13:20+00:00"
+    topics = {topic["topic"]: topic for topic in reported["topics"]}
     assert topics["/vehicle"] == {
         "topic": "/vehicle",
         "schema": "bc.VehicleState",
@@ -171,21 +171,21 @@ def test_info_tells_what_is_in_a_log(tmp_path: Path, place: Place, capsys: pytes
     }
 
 
-def test_info_tells_gaps_odd_rows_and_tags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_shows_gaps_odd_rows_and_tags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows: list[tuple[float, float, float, bytes | None]] = [(row / 10, 0.1, 9.0, jpeg(50)) for row in range(10)]
     rows += [(30 + row / 10, 0.1, 0.0, jpeg(50)) for row in range(10)]
     path = log_with(tmp_path / "a.mcap", rows)
     assert call(main, "tag", path, "recovery", "--rows", 3, 5) == 0
     capsys.readouterr()
-    told = info_of(path, capsys)
-    assert told["drives"] == 2
-    assert {flag: count for flag, count in told["flags"].items() if count} == {"gap": 1, "standing_still": 10}
-    assert told["odd"] == []
-    assert {tuple(stretch.values()) for stretch in told["stretches"]} == {
+    reported = info_of(path, capsys)
+    assert reported["drives"] == 2
+    assert {flag: count for flag, count in reported["flags"].items() if count} == {"gap": 1, "standing_still": 10}
+    assert reported["odd"] == []
+    assert {tuple(stretch.values()) for stretch in reported["stretches"]} == {
         ("gap", 10, 10, 0.9, 30.0),
         ("standing_still", 10, 19, 30.0, 30.9),
     }
-    assert told["tags"] == [{"first_row": 3, "last_row": 5, "name": "recovery"}]
+    assert reported["tags"] == [{"first_row": 3, "last_row": 5, "name": "recovery"}]
     assert call(main, "info", path) == 0
     printed = capsys.readouterr().out
     assert "2 drives" in printed
@@ -222,17 +222,17 @@ def test_info_reads_only_the_end_of_a_finished_log(
     assert info_of(place(path), capsys) == before
 
 
-def test_info_of_an_unfinished_log_says_so(
+def test_info_of_an_unfinished_log_reports_so(
     tmp_path: Path, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 1000)
     path = write_log(tmp_path / "a.mcap", [0.1] * 40, lambda camera, row: bytes(20_000))
     os.truncate(path, path.stat().st_size // 2)
     assert call(main, "info", place(path)) == 3
-    said = capsys.readouterr()
-    assert "a.mcap: unfinished" in said.err
-    assert f"bc-log recover {place(path)}" in said.err
-    assert "1 drive" in said.out
+    shown = capsys.readouterr()
+    assert "a.mcap: unfinished" in shown.err
+    assert f"bc-log recover {place(path)}" in shown.err
+    assert "1 drive" in shown.out
 
 
 # tag, trim and the others, as commands
@@ -253,9 +253,9 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
         "exclude: rows 40 to 45",
     ]
     assert call(main, "tag", path, "exclude", "--rows", 40, 45, "--remove") == 0
-    said = capsys.readouterr()
-    assert said.out.splitlines() == ["whole drive: rows 0 to 49", "exclude: rows 10 to 20"]
-    removed, advice = said.err.splitlines()
+    shown = capsys.readouterr()
+    assert shown.out.splitlines() == ["whole drive: rows 0 to 49", "exclude: rows 10 to 20"]
+    removed, advice = shown.err.splitlines()
     assert (removed, "bc-index`" in advice) == ("removed exclude: rows 40 to 45", True)
     assert call(main, "tag", path, "exclude", "--remove") == 0
     assert capsys.readouterr().out.splitlines() == ["whole drive: rows 0 to 49"]
@@ -264,7 +264,7 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "shown"),
     [
         (["good"], "no tag 'good'; its tags: bend, exclude"),
         (["exlude"], "no tag 'exlude'; did you mean exclude?"),
@@ -273,18 +273,18 @@ def test_tags_are_given_listed_and_removed(tmp_path: Path, capsys: pytest.Captur
     ids=["absent", "misspelt", "other rows"],
 )
 def test_a_tag_that_is_not_there_is_not_removed(
-    flags: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flags: list[str], shown: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     for name, first, last in (("exclude", 1, 2), ("bend", 5, 5), ("bend", 8, 9)):
         assert call(main, "tag", path, name, "--rows", first, last) == 0
     capsys.readouterr()
     assert call(main, "tag", path, *flags, "--remove") == 1
-    assert said in one_line_in(capsys)
+    assert shown in one_line_in(capsys)
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("line", "message"),
     [
         (["tag", "LOG", "x", "--start", 100], "no row between 100 s and its end"),
         (["info", "a"], "did you mean a.mcap?"),
@@ -294,10 +294,10 @@ def test_a_tag_that_is_not_there_is_not_removed(
         (["recover", "none.mcap"], "none.mcap: cannot be opened"),
     ],
 )
-def test_what_cannot_be_done_says_why(
+def test_what_cannot_be_done_reports_why(
     tmp_path: Path,
     line: list[object],
-    says: str,
+    message: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -305,13 +305,13 @@ def test_what_cannot_be_done_says_why(
     path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     before = path.read_bytes()
     assert call(main, *(path if word == "LOG" else word for word in line)) == 1
-    assert says in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("line", "message"),
     [
         (["tag", "LOG", "a\nb"], "not a name for a tag"),
         (["tag", "LOG", "x"], "which rows?"),
@@ -329,15 +329,15 @@ def test_what_cannot_be_done_says_why(
 def test_flags_that_make_no_sense_are_bad_usage(
     tmp_path: Path,
     line: list[object],
-    says: str,
+    message: str,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = write_log(tmp_path / "a.mcap", [0.1] * 50)
     assert call(main, *(path if word == "LOG" else word for word in line)) == 2
-    (told,) = capsys.readouterr().err.splitlines()
-    assert says in told
+    (reported,) = capsys.readouterr().err.splitlines()
+    assert message in reported
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 
 
@@ -353,9 +353,9 @@ def test_trim_merge_split_and_recover_write_new_logs(tmp_path: Path, capsys: pyt
     assert capsys.readouterr().out == "exclude: rows 5 to 20\nexclude: rows 55 to 59\n"
     assert call(main, "rewrite", a, "--to", tmp_path / "d.mcap") == 0
     assert call(main, "split", c, "--to", tmp_path / "drives") == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     for drive in ("c-1.mcap: 50 rows", "c-2.mcap: 10 rows"):
-        assert drive in told
+        assert drive in reported
     for name in ("a", "b", "c", "d", "drives/c-1", "drives/c-2"):
         assert is_whole(tmp_path / f"{name}.mcap")
     path.rename(tmp_path / "k.mcap.0a1b2c.part")
@@ -394,13 +394,13 @@ def test_a_new_tag_is_said_with_what_may_have_been_meant(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1] * 5)
-    told: list[tuple[str, str]] = [
+    reported: list[tuple[str, str]] = [
         ("exclud", "new tag 'exclud'; did you mean exclude?\n"),
         ("recovery", "new tag 'recovery'\n"),
         ("recovery", ""),
         ("exclude", ""),
     ]
-    for name, line in told:
+    for name, line in reported:
         assert call(main, "tag", path, name, "--rows", 1, 2) == 0
         *lines, advice = capsys.readouterr().err.splitlines(keepends=True)
         assert ("".join(lines), advice[:7]) == (line, "next: `")
@@ -424,9 +424,9 @@ def test_a_terminal_is_asked_back(tmp_path: Path, answer: str) -> None:
             stderr=theirs,
             env=environment(),
         )
-        said = b""
-        while b"all the same?" not in said:
-            said += os.read(ours, 1000)
+        shown = b""
+        while b"all the same?" not in shown:
+            shown += os.read(ours, 1000)
         os.write(ours, answer.encode() + b"\n")
         out, _ = process.communicate(timeout=PATIENCE_S)
     finally:
@@ -440,25 +440,25 @@ def test_info_of_a_drive_in_which_nothing_was_driven(tmp_path: Path, capsys: pyt
     with LogWriter(path, {"source": "drive"}) as writer:
         writer.event(START_NS, "connected")
     assert call(main, "info", path) == 0
-    told = capsys.readouterr().out
-    assert "no rows: nothing was driven" in told
-    assert "another program" not in told
+    reported = capsys.readouterr().out
+    assert "no rows: nothing was driven" in reported
+    assert "another program" not in reported
 
 
-def test_pictures_of_several_sizes_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pictures_of_several_sizes_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ok, small = cv2.imencode(".png", np.zeros((60, 80, 3), np.uint8))
     assert ok
     rows: list[tuple[float, float, float, bytes | None]] = [
         (row / 10, 0.1, 0.0, small.tobytes() if row in (3, 4) else jpeg(50)) for row in range(6)
     ]
     path = log_with(tmp_path / "a.mcap", rows)
-    told = "4 pictures of 320x160 (first: row 0), 2 pictures of 80x60 (first: row 3)"
-    assert found_in(path) == [("cameras with pictures of several sizes", f"/camera/center: {told}")]
+    reported = "4 pictures of 320x160 (first: row 0), 2 pictures of 80x60 (first: row 3)"
+    assert found_in(path) == [("cameras with pictures of several sizes", f"/camera/center: {reported}")]
     trimmed = tmp_path / "b.mcap"
     assert call(main, "trim", path, "--to", trimmed, "--start", 0) == 0
     capsys.readouterr()
     for log in (path, trimmed):
-        assert info_of(log, capsys)["picture_sizes"] == {"/camera/center": told}
+        assert info_of(log, capsys)["picture_sizes"] == {"/camera/center": reported}
         assert call(main, "info", log) == 0
         assert "pictures of several sizes on /camera/center" in capsys.readouterr().out
     assert call(main, "trim", path, "--to", tmp_path / "c.mcap", "--rows", 0, 2) == 0
@@ -477,9 +477,9 @@ def test_one_log_that_cannot_be_read_does_not_hide_the_others(
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
     for subcommand in ("check", "info"):
         assert call(main, subcommand, tmp_path / "none.mcap", path, "--json") == 1
-        said = capsys.readouterr()
-        assert json.loads(said.out)["path"] == str(path)
-        assert "none.mcap: cannot be opened" in said.err
+        shown = capsys.readouterr()
+        assert json.loads(shown.out)["path"] == str(path)
+        assert "none.mcap: cannot be opened" in shown.err
 
 
 def test_merged_drives_have_the_rate_at_which_they_were_driven(
@@ -488,15 +488,15 @@ def test_merged_drives_have_the_rate_at_which_they_were_driven(
     path = write_log(tmp_path / "a.mcap", [0.1] * 21)
     assert call(main, "merge", path, path, "--to", tmp_path / "b.mcap") == 0
     capsys.readouterr()
-    told = info_of(tmp_path / "b.mcap", capsys)
-    assert (told["drives"], told["driven_s"], told["duration_s"]) == (2, 4.0, 2.0)
-    assert {topic["per_second"] for topic in told["topics"]} == {42 / 4.0}
+    reported = info_of(tmp_path / "b.mcap", capsys)
+    assert (reported["drives"], reported["driven_s"], reported["duration_s"]) == (2, 4.0, 2.0)
+    assert {topic["per_second"] for topic in reported["topics"]} == {42 / 4.0}
     call(main, "info", tmp_path / "b.mcap")
     assert "2.0 to 0.0 s (time goes back)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("stretches", ["[1", '[["gap", 1, 2, NaN, Infinity]]', '[["gap", 1e400, 2, 0, 1]]', "{}"])
-def test_info_is_valid_json_whatever_a_log_says_of_itself(
+def test_info_is_valid_json_whatever_a_log_reports_of_itself(
     tmp_path: Path, stretches: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -508,13 +508,13 @@ def test_info_is_valid_json_whatever_a_log_says_of_itself(
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
 
-    told = json.loads(capsys.readouterr().out, parse_constant=refuse)
-    assert (told["stretches"], told["driven_s"]) == ([], None)
+    reported = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    assert (reported["stretches"], reported["driven_s"]) == ([], None)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit addresses")
 @pytest.mark.parametrize("megabytes", [600, *(pytest.param(size, marks=pytest.mark.long) for size in (500, 650))])
-def test_too_little_memory_is_told_in_a_line(tmp_path: Path, megabytes: int) -> None:
+def test_too_little_memory_is_reported_in_a_line(tmp_path: Path, megabytes: int) -> None:
     """OpenCV would end the process without a word. Where it suffices, because processors are few, all is well."""
     path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
     limited = ["bash", "-c", f'ulimit -v {megabytes * 1000}; exec "$@"', "bash", *command("bc-log", "check", path)]
@@ -537,15 +537,15 @@ def test_a_long_setting_of_a_log_is_a_few_lines_and_whole_in_json(
     lines = capsys.readouterr().out.splitlines()
     first = next(number for number, line in enumerate(lines) if line.startswith("  car: "))
     last = next(number for number, line in enumerate(lines) if line.startswith("  source: "))
-    told = "".join(lines[first:last])
+    reported = "".join(lines[first:last])
     assert last - first <= 7
-    assert '"max_steering_deg": 25.0' in told
-    assert "--json" in told
+    assert '"max_steering_deg": 25.0' in reported
+    assert "--json" in reported
     assert call(main, "info", path, "--json") == 0
     assert json.loads(capsys.readouterr().out)["session"]["car"] == car
 
 
-def test_what_is_no_log_is_told_with_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_log_is_reported_with_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "junk.mcap").write_text("junk")
     assert call(main, "info", tmp_path / "junk.mcap") == 1
     assert "`bc-log ls`" in capsys.readouterr().err

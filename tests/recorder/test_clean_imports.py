@@ -231,11 +231,11 @@ def test_calendars_of_other_countries(tmp_path: Path, date: str, starts_in: int)
 
 
 @pytest.mark.parametrize(("age_s", "kept"), [(1.0, 21), (2.0, 31)])
-def test_a_command_stays_in_force_as_long_as_it_is_told(tmp_path: Path, age_s: float, kept: int) -> None:
+def test_a_command_stays_in_force_as_long_as_it_is_reported(tmp_path: Path, age_s: float, kept: int) -> None:
     from tests.helpers.other_logs import CAMERA, WHEEL, angle, image, write_mcap
 
-    told = [(WHEEL, 0.0, angle(0.5)), *((CAMERA, number / 20, image(ROWS[0][2])) for number in range(31))]
-    source = write_mcap(tmp_path / "sparse.mcap", told)
+    reported = [(WHEEL, 0.0, angle(0.5)), *((CAMERA, number / 20, image(ROWS[0][2])) for number in range(31))]
+    source = write_mcap(tmp_path / "sparse.mcap", reported)
     settings = ImportSettings(image=CAMERA, steering=f"{WHEEL}.steering.angle", max_steering_age=age_s)
     assert imported((source, settings)).rows == kept
 
@@ -243,7 +243,7 @@ def test_a_command_stays_in_force_as_long_as_it_is_told(tmp_path: Path, age_s: f
 def test_side_cameras_of_a_log(tmp_path: Path) -> None:
     from tests.helpers.other_logs import CAMERA, WHEEL, angle, image, write_mcap
 
-    told = [
+    reported = [
         message
         for time_s, steering, picture in ROWS
         for message in (
@@ -252,7 +252,7 @@ def test_side_cameras_of_a_log(tmp_path: Path) -> None:
             ("/camera/compressed_left", time_s + 0.009, image(picture)),
         )
     ]
-    source = write_mcap(tmp_path / "two.mcap", told)
+    source = write_mcap(tmp_path / "two.mcap", reported)
     settings = ImportSettings(
         image=CAMERA, steering=f"{WHEEL}.steering.angle", camera=("left=/camera/compressed_left",)
     )

@@ -204,7 +204,7 @@ def test_frames_in_a_ros2_bag(tmp_path: Path, msgtype: str) -> None:
     assert found == [("libx264", data) for data in packets]
 
 
-def test_an_import_decodes_a_log_s_video_and_says_so(tmp_path: Path) -> None:
+def test_an_import_decodes_a_log_s_video_and_reports_so(tmp_path: Path) -> None:
     """The first frames have no key frame before them; pictures without steering in time are decoded, too."""
     source = write_video_log(tmp_path / "video.mcap", encoded(FRAMES)[3:])
     settings = ImportSettings(image=VIDEO, steering=VIDEO_TOPICS.steering)
@@ -273,15 +273,15 @@ def fingerprint(path: Path) -> str:
 
 
 def test_every_undecodable_picture_is_named_in_order_and_counted() -> None:
-    told: list[int] = []
+    reported: list[int] = []
     with ThreadPoolExecutor(2) as pool:
-        image_check = ImageCheck(pool, told.append)
+        image_check = ImageCheck(pool, reported.append)
         for row in range(150):
             image_check.add("/a", row, row, CUT_OFF if row in (0, 77) else WHOLE[row % 20])
             image_check.add("/b", row, row, b"" if row == 31 else WHOLE[(row + 1) % 20])
         image_check.finish()
     assert image_check.broken == [("/a", 0), ("/b", 31), ("/a", 77)]
-    assert image_check.decoded == sum(told) == 300
+    assert image_check.decoded == sum(reported) == 300
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_three_equal_pictures_in_a_row_from_a_moving_car_are_frozen(
 # bc-log check
 
 
-def test_check_tells_frozen_and_broken_pictures_from_sound_ones(tmp_path: Path) -> None:
+def test_check_shows_frozen_and_broken_pictures_from_sound_ones(tmp_path: Path) -> None:
     path = write_drive(tmp_path / "a.mcap", [9.0] * 10 + [0.0] * 10, frozen_right)
     assert findings(path, "pictures that do not decode") == [
         *("/camera/left row 0", "/camera/center row 3", "/camera/left row 7", "/camera/left row 8"),
@@ -339,16 +339,16 @@ def test_a_time_that_no_clock_shows_is_a_finding(tmp_path: Path, topic: str) -> 
 
 
 def test_looking_at_a_log_finds_what_was_put_into_it(tmp_path: Path) -> None:
-    told: list[int] = []
+    reported: list[int] = []
     with Log(write_drive(tmp_path / "a.mcap", picture=frozen_right)) as log:
-        looked = check_images(log, told.append)
+        looked = check_images(log, reported.append)
     assert looked == ImageFindings(
         60,
         {"center": ((3, 3),), "left": ((0, 0), (7, 8)), "right": ((19, 19),)},
         {"right": ((4, 11),)},
         (),
     )
-    assert sum(told) == 60
+    assert sum(reported) == 60
 
 
 @pytest.mark.parametrize("speed_mph", [[0.0] * 20, [float("nan")] * 20])

@@ -149,6 +149,6 @@ def test_a_column_of_another_type_is_named(values: pa.Array, condition: str, nam
         ("speed_mph > 5 and not isnan(speed_mph)", "isnan is not known; write speed_mph is null"),
     ],
 )
-def test_the_line_says_what_to_write(condition: str, hint: str) -> None:
+def test_the_line_reports_what_to_write(condition: str, hint: str) -> None:
     with pytest.raises(UsageError, match=hint):
         rows_where(ROWS, condition)

@@ -178,8 +178,10 @@ def test_the_commands_say_so(
         capsys.readouterr()
         flags = ["--network", "small", "--epochs", 1, "--runs", tmp_path / "runs"]
         assert call(bc_train, *flags, "--index", index) == 3
-        told = rf"pictures in damaged chunks of {re.escape(str(forged))} \(`bc-log recover \S+/a\.mcap` .*a row \d"
-        assert re.search(told, capsys.readouterr().err)
+        reported = (
+            rf"pictures in damaged chunks of {re.escape(str(forged))} \(`bc-log recover \S+/a\.mcap` .*a row \d"
+        )
+        assert re.search(reported, capsys.readouterr().err)
         with monkeypatch.context() as in_folder:  # where a person types the log's name
             in_folder.chdir(forged.parent)
             assert call(bc_eval, untrained_run(tmp_path / "run"), "--session", forged) == 3
@@ -245,7 +247,7 @@ def test_the_earliest_logs_of_ours_had_none_of_the_data_section(tmp_path: Path) 
 
 def test_of_another_program_s_log_it_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_mcap(tmp_path / "other.mcap", DRIVE, enable_crcs=False, compression=CompressionType.NONE)
-    told = f"{path}: {WITHOUT}\n"
+    reported = f"{path}: {WITHOUT}\n"
     new = tmp_path / "new.mcap"
     lines: list[list[object]] = [
         ["check", path],
@@ -256,7 +258,7 @@ def test_of_another_program_s_log_it_is_said_once(tmp_path: Path, capsys: pytest
     for line in lines:
         new.unlink(missing_ok=True)
         assert call(bc_log, *line) == 0
-        assert capsys.readouterr().err.count(told) == 1 + (line[0] == "merge")
+        assert capsys.readouterr().err.count(reported) == 1 + (line[0] == "merge")
     assert call(bc_log, "check", path, "--json") == 0
     assert json.loads(capsys.readouterr().out)["has_crcs"] is False
     with_crcs = write_mcap(tmp_path / "with.mcap", DRIVE)
@@ -269,7 +271,7 @@ def without_crcs(path: Path) -> Path:
     return write_plain(path, CompressionType.NONE, range(11), picture=jpeg(60, 1), enable_crcs=False)
 
 
-def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_who_shows_such_a_log_reports_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, other = without_crcs(tmp_path / "other.mcap"), without_crcs(tmp_path / "another.mcap")
     assert call(bc_play, path, "--save", tmp_path / "a.rrd") == 0
     assert capsys.readouterr().err.splitlines()[:-1] == [f"{path}: {WITHOUT}"]
@@ -280,7 +282,7 @@ def test_who_shows_such_a_log_says_so(tmp_path: Path, capsys: pytest.CaptureFixt
     assert WITHOUT not in capsys.readouterr().err
 
 
-def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
+def test_who_indexes_such_a_log_reports_so_as_long_as_it_is_in_the_index(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = without_crcs(tmp_path / "other.mcap")
@@ -290,7 +292,7 @@ def test_who_indexes_such_a_log_says_so_as_long_as_it_is_in_the_index(
         assert capsys.readouterr().err.count(f"{path}: {WITHOUT}\n") == 1
 
 
-def test_an_import_of_such_a_log_says_so_and_its_log_too(
+def test_an_import_of_such_a_log_reports_so_and_its_log_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_mcap(tmp_path / "other.mcap", DRIVE, enable_crcs=False)

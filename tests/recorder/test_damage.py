@@ -241,7 +241,7 @@ def test_broken_metadata_costs_a_recovery_nothing_else(whole: Path) -> None:
     assert list(written.skipped.counts) == ["damaged metadata records"]
 
 
-def test_damage_that_only_the_crc_of_all_data_shows_is_told(whole: Path) -> None:
+def test_damage_that_only_the_crc_of_all_data_shows_is_reported(whole: Path) -> None:
     """No other CRC covers metadata: nobody knows what it was."""
     path = whole.with_name("damaged.mcap")
     path.write_bytes(whole.read_bytes().replace(b"\x04\x00\x00\x00test", b"\x04\x00\x00\x00tesu"))

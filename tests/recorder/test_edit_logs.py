@@ -206,7 +206,7 @@ def test_an_unfinished_log_can_be_trimmed(tmp_path: Path) -> None:
     assert by_topic(m for m in contents(done.path).messages if m.topic in ROW_TOPICS) == by_topic(expected)
 
 
-def test_rows_that_are_not_there_are_told_with_those_that_are(tmp_path: Path) -> None:
+def test_rows_that_are_not_there_are_reported_with_those_that_are(tmp_path: Path) -> None:
     whole = drive(tmp_path / "a.mcap", range(3, 9))
     with pytest.raises(LogError, match=r"a\.mcap: no row from 9 to 12; its rows are 3 to 8"):
         trim(whole, tmp_path / "b.mcap", (9, 12))
@@ -429,7 +429,7 @@ def test_split_overwrites_nothing_either(tmp_path: Path) -> None:
     assert whole.read_bytes() == before
 
 
-def test_a_new_log_tells_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_log_shows_both_versions_that_made_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("recorder.log.writer.version_of", lambda: "0.0.1")
         whole = drive(tmp_path / "a.mcap", range(20), gap_after=5)

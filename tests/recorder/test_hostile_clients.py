@@ -94,7 +94,7 @@ def test_connections_beyond_the_limit_are_refused_and_places_come_free(monkeypat
     with Serving(Book()) as serving, ExitStack() as crowd:
         for _ in range(8):
             crowd.enter_context(socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S))
-        wait_until(lambda: connection_guard.NOTICE_TOO_MANY in serving.said)
+        wait_until(lambda: connection_guard.NOTICE_TOO_MANY in serving.notices)
         crowd.close()
         assert len(tell(serving.port, range(3))) == 3
 
@@ -107,7 +107,7 @@ def test_who_begins_to_poll_and_never_comes_back_does_not_fill_the_memory(monkey
         with pytest.raises(urllib.error.HTTPError) as refused:
             PollingClient(serving.port)
         refused.value.close()
-        assert connection_guard.NOTICE_TOO_MANY in serving.said
+        assert connection_guard.NOTICE_TOO_MANY in serving.notices
         assert len(tell(serving.port, range(3))) == 3  # it keeps no simulator out
 
 
@@ -139,7 +139,7 @@ def test_what_a_client_does_not_read_is_bounded() -> None:
             client.request('42["telemetry",1]')
         wait_until(lambda: "disconnected" in book.calls)
         assert book.calls.count("telemetry") <= telemetry_server.MAX_UNREAD_PACKETS + 1
-        assert telemetry_server.NOTICE_NOT_READING in serving.said
+        assert telemetry_server.NOTICE_NOT_READING in serving.notices
 
 
 @pytest.mark.parametrize("content", [b"", b"x"])
@@ -153,14 +153,14 @@ def test_frames_that_hold_next_to_nothing_are_not_kept_without_end(content: byte
             for _ in range(most // 1000):
                 client.stream.sendall((b"\x00" + size + bytes(4) + content) * 1000)
         client.until_hung_up()
-        wait_until(lambda: NOTICES_BROKEN[TOO_LARGE] in serving.said)
+        wait_until(lambda: NOTICES_BROKEN[TOO_LARGE] in serving.notices)
 
 
 # Those who send without end
 
 
 @pytest.mark.parametrize("header", ["Content-Length: -1", "Content-Length: x", "Transfer-Encoding: chunked"])
-def test_a_body_whose_size_is_not_told_is_not_read(header: str) -> None:
+def test_a_body_whose_size_is_not_reported_is_not_read(header: str) -> None:
     with Serving(Book()) as serving:
         client = PollingClient(serving.port)
         with socket.create_connection(("127.0.0.1", serving.port), PATIENCE_S) as stream:
@@ -216,7 +216,7 @@ def test_no_page_of_another_site_is_let_in_by_whatever_name_it_comes(
         websocket_path = POLL.replace("polling", "websocket")
         assert asked(serving.port, POLL, **headers) == (200 if is_let_in else 403)
         assert asked(serving.port, websocket_path, **WEBSOCKET, **headers) == (101 if is_let_in else 403)
-        assert sum("refused a web page" in line for line in serving.said) == (not is_let_in)
+        assert sum("refused a web page" in line for line in serving.notices) == (not is_let_in)
 
 
 @pytest.mark.parametrize(

@@ -119,10 +119,10 @@ def test_times_in_another_unit_are_asked_about(
     csv = "p,s,t\n" + "".join(f"{name},0,{begin + row * step}\n" for row, name in enumerate(names))
     folder = folder_of(tmp_path, csv, names)
     try:
-        said = " ".join(imported(folder, "image=p", "steering=s", f"{column}=t").questions)
+        printed = " ".join(imported(folder, "image=p", "steering=s", f"{column}=t").questions)
     except RecordingError as error:
-        said = str(error)
-    assert likely in said if likely else said == ""
+        printed = str(error)
+    assert likely in printed if likely else printed == ""
 
 
 @pytest.mark.parametrize(
@@ -131,8 +131,8 @@ def test_times_in_another_unit_are_asked_about(
 def test_a_shuffled_csv_is_sorted_about(tmp_path: Path, order: list[int], is_sorted: bool) -> None:
     csv = "p,s,t\n" + "".join(f"{row}.jpg,0,{row / 10}\n" for row in order)
     folder = folder_of(tmp_path, csv, [f"{row}.jpg" for row in order])
-    said = " ".join(imported(folder, "image=p", "steering=s", "time_s=t").notices)
-    assert said == ("time went back 3 times, so its rows were sorted by time" if is_sorted else "")
+    printed = " ".join(imported(folder, "image=p", "steering=s", "time_s=t").notices)
+    assert printed == ("time went back 3 times, so its rows were sorted by time" if is_sorted else "")
 
 
 def test_of_two_columns_with_one_name_none_is_guessed(tmp_path: Path) -> None:

@@ -35,8 +35,10 @@ LENGTHS = [3, 2]
 STEERING = [-0.5, 0.0, 0.25, 0.5, 1.0]
 
 
-def imported(folder: Path, *, overwrite: bool = False, **said: Any) -> Imported:
-    return import_recording(folder, folder.parent / "imported.mcap", ImportSettings(**said), overwrite=overwrite)
+def imported(folder: Path, *, overwrite: bool = False, **printed: Any) -> Imported:
+    return import_recording(
+        folder, folder.parent / "imported.mcap", ImportSettings(**printed), overwrite=overwrite
+    )
 
 
 def content(log: Path) -> dict[str, list[tuple[Any, ...]]]:
@@ -166,7 +168,7 @@ def test_an_export_as_videos_comes_back_with_other_pictures_and_says_so(tmp_path
         assert errors[row] == min(errors) < 12
 
 
-def test_of_others_names_tell_what_is_what(tmp_path: Path) -> None:
+def test_of_others_names_show_what_is_what(tmp_path: Path) -> None:
     done = imported(others(tmp_path / "theirs"))
     assert "action.steering_angle" in done.notices[0]
     times_ns = [0, 50_000_000, 100_000_000, 10_100_000_000, 10_150_000_000]
@@ -239,10 +241,10 @@ def test_episodes_that_are_not_there_are_named(tmp_path: Path, capsys: pytest.Ca
         total_frames=9,
     )
     assert call(bc_import, theirs, "gaps", "--sessions", tmp_path) == 3
-    said = capsys.readouterr()
-    assert "episodes that are counted but missing: 2 (episodes 1 to 2, episodes 4 to 5)" in said.err
-    assert "frames that are counted but missing: 1 (5 of 9)" in said.err
-    assert "4 rows, 4 pictures" in said.out
+    printed = capsys.readouterr()
+    assert "episodes that are counted but missing: 2 (episodes 1 to 2, episodes 4 to 5)" in printed.err
+    assert "frames that are counted but missing: 1 (5 of 9)" in printed.err
+    assert "4 rows, 4 pictures" in printed.out
 
 
 def test_frames_that_cannot_be_used_are_named(tmp_path: Path) -> None:

@@ -105,10 +105,10 @@ def test_every_picture_gets_the_last_steering_before_it(tmp_path: Path, options:
     assert (done.rows, done.pictures, list(done.skipped)) == (3, 3, [])
 
 
-def test_the_log_says_where_it_comes_from(tmp_path: Path) -> None:
+def test_the_log_reports_where_it_comes_from(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    said = topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
-    with Log(imported(source, said).path) as log:
+    printed = topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
+    with Log(imported(source, printed).path) as log:
         expected = {
             "source": "mcap",
             "recording": "other.mcap",
@@ -121,13 +121,13 @@ def test_the_log_says_where_it_comes_from(tmp_path: Path) -> None:
 
 
 def test_pictures_in_json_are_base64(tmp_path: Path) -> None:
-    told = [
+    reported = [
         (topic, time_s, {"format": "jpeg", "data": base64.b64encode(content.data).decode()})
         if isinstance(content, CompressedImage)
         else (topic, time_s, content)
         for topic, time_s, content in DRIVE
     ]
-    assert rows_of(imported(write_mcap(tmp_path / "other.mcap", told)).path) == ROWS
+    assert rows_of(imported(write_mcap(tmp_path / "other.mcap", reported)).path) == ROWS
 
 
 def test_what_the_foxglove_sdk_writes(tmp_path: Path) -> None:
@@ -159,14 +159,14 @@ def test_steering_may_lie_anywhere_in_the_file(tmp_path: Path) -> None:
 
 
 def test_pictures_without_a_steering_in_time_are_left_out_and_named(tmp_path: Path) -> None:
-    told = [
+    reported = [
         (CAMERA, 0.0, image(PICTURES[0])),
         (WHEEL, 0.5, angle(0.5)),
         (CAMERA, 0.5, image(PICTURES[0])),
         (CAMERA, 1.5, image(PICTURES[1])),
         (CAMERA, 1.501, image(PICTURES[2])),
     ]
-    done = imported(write_mcap(tmp_path / "other.mcap", told))
+    done = imported(write_mcap(tmp_path / "other.mcap", reported))
     assert rows_of(done.path) == [(0.5, 0.5, PICTURES[0]), (1.5, 0.5, PICTURES[1])]
     assert list(done.skipped) == [
         ("pictures before the first steering", f"{CAMERA} at 1720880000.000 s"),
@@ -193,16 +193,16 @@ def test_values_out_of_range_are_kept_and_named(tmp_path: Path) -> None:
 
 
 def test_png_pictures_stay_png(tmp_path: Path) -> None:
-    told = [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(png(40))), (CAMERA, 0.2, image(PICTURES[0]))]
-    done = imported(write_mcap(tmp_path / "other.mcap", told))
+    reported = [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, image(png(40))), (CAMERA, 0.2, image(PICTURES[0]))]
+    done = imported(write_mcap(tmp_path / "other.mcap", reported))
     pictures = [(picture.data, picture.format) for _, picture in read_messages(done.path)["/camera/center"]]
     assert pictures == [(png(40), "png"), (PICTURES[0], "jpeg")]
 
 
 def test_what_is_no_whole_picture_is_left_out_and_named(tmp_path: Path) -> None:
     broken = [b"", b"GIF89a", PICTURES[0][:-300], png(40)[:-20], png(40)[:20], b"\x89PNG\r\n\x1a\n" + bytes(99)]
-    told = [(WHEEL, 0.0, angle(0.0)), *((CAMERA, 0.1 + i / 100, image(data)) for i, data in enumerate(broken))]
-    done = imported(write_mcap(tmp_path / "other.mcap", [*told, (CAMERA, 0.9, image(PICTURES[0]))]))
+    reported = [(WHEEL, 0.0, angle(0.0)), *((CAMERA, 0.1 + i / 100, image(data)) for i, data in enumerate(broken))]
+    done = imported(write_mcap(tmp_path / "other.mcap", [*reported, (CAMERA, 0.9, image(PICTURES[0]))]))
     assert rows_of(done.path) == [(0.9, 0.0, PICTURES[0])]
     assert done.skipped.counts == {"pictures that are not whole JPEG or PNG files": len(broken)}
 
@@ -222,7 +222,7 @@ def test_a_small_png_that_unpacks_to_a_huge_one_is_not_unpacked(tmp_path: Path) 
 
 
 def test_messages_that_make_no_sense_are_left_out_and_named(tmp_path: Path) -> None:
-    told = [
+    reported = [
         *DRIVE,
         (WHEEL, 0.20, b"{"),
         (WHEEL, 0.21, b"[" * 100_000),
@@ -232,7 +232,7 @@ def test_messages_that_make_no_sense_are_left_out_and_named(tmp_path: Path) -> N
         (WHEEL, 0.25, b'{"steering": {"angle": 1' + b"0" * 400 + b"}}"),
         (WHEEL, 0.25, {}),
     ]
-    done = imported(write_mcap(tmp_path / "other.mcap", told))
+    done = imported(write_mcap(tmp_path / "other.mcap", reported))
     assert rows_of(done.path) == ROWS
     assert done.skipped.counts == {"messages that cannot be decoded": 2, "messages without a steering": 5}
 
@@ -246,7 +246,7 @@ def test_an_unfinished_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     assert ["unfinished" in name for _, name in done.skipped] == [True]
 
 
-def test_a_damaged_chunk_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_an_error_that_reports_what_to_do(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE, compression=CompressionType.NONE)
     flip_bit(source, source.read_bytes().index(PICTURES[1]) + 500)
     with pytest.raises(LogError, match="bc-log recover"):
@@ -258,13 +258,13 @@ def test_a_damaged_chunk_is_an_error_that_says_what_to_do(tmp_path: Path) -> Non
 
 def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    for said in (topics("/cam", TOPICS.steering), topics(CAMERA, "/wheels.steering.angle")):
-        told = error_of(source, said)
-        assert f"{CAMERA} (foxglove.CompressedImage), /lidar (car.Wheel), {WHEEL} (car.Wheel)" in told
+    for printed in (topics("/cam", TOPICS.steering), topics(CAMERA, "/wheels.steering.angle")):
+        reported = error_of(source, printed)
+        assert f"{CAMERA} (foxglove.CompressedImage), /lidar (car.Wheel), {WHEEL} (car.Wheel)" in reported
 
 
 @pytest.mark.parametrize(
-    ("field", "told"),
+    ("field", "reported"),
     [
         ("steer", "has no steer; it has steering, buttons, mode"),
         ("steering.angel", "steering has no angel; it has angle"),
@@ -275,25 +275,25 @@ def test_an_unknown_topic_lists_those_that_there_are(tmp_path: Path) -> None:
         ("", "is not a number but a message; it has steering, buttons, mode"),
     ],
 )
-def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str, told: str) -> None:
+def test_an_unknown_field_lists_those_that_there_are(tmp_path: Path, field: str, reported: str) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    assert told in error_of(source, topics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
+    assert reported in error_of(source, topics(CAMERA, f"{WHEEL}.{field}".removesuffix(".")))
 
 
 def test_pictures_that_are_not_compressed_are_named_by_their_type(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, angle(0.0)), (CAMERA, 0.1, RawImage(width=320))])
-    told = error_of(source)
-    assert "foxglove.RawImage" in told
-    assert "foxglove.CompressedImage, foxglove.CompressedVideo or sensor_msgs/CompressedImage" in told
+    reported = error_of(source)
+    assert "foxglove.RawImage" in reported
+    assert "foxglove.CompressedImage, foxglove.CompressedVideo or sensor_msgs/CompressedImage" in reported
 
 
-def test_without_any_steering_the_error_says_why(tmp_path: Path) -> None:
+def test_without_any_steering_the_error_reports_why(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", [(WHEEL, 0.0, b"?"), (WHEEL, 0.1, b"?"), DRIVE[1]])
     assert "messages that cannot be decoded: 2 (" in error_of(source)
 
 
 def test_an_unknown_encoding_or_definition_is_named(tmp_path: Path) -> None:
-    for encoding, schema, told in (("ros1", b"float64 x", "ros1"), ("protobuf", b"\xff", "definition")):
+    for encoding, schema, reported in (("ros1", b"float64 x", "ros1"), ("protobuf", b"\xff", "definition")):
         source = tmp_path / f"{encoding}.mcap"
         with plain_writer(source) as writer:
             number = writer.register_schema("car.Wheel", encoding, schema)
@@ -301,7 +301,7 @@ def test_an_unknown_encoding_or_definition_is_named(tmp_path: Path) -> None:
             writer.add_message(
                 writer.register_channel(CAMERA, "protobuf", register_schema(writer, CompressedImage)), 0, b"", 0
             )
-        assert told in error_of(source)
+        assert reported in error_of(source)
 
 
 # ROS 2
@@ -346,7 +346,7 @@ def test_a_time_that_no_log_can_hold_is_left_out(tmp_path: Path) -> None:
 
 
 @STORAGES
-def test_a_bag_of_several_files_is_read_in_the_order_that_it_tells(tmp_path: Path, storage: StoragePlugin) -> None:
+def test_a_bag_of_several_files_is_read_in_the_order_that_it_shows(tmp_path: Path, storage: StoragePlugin) -> None:
     bag, suffix = tmp_path / "bag", ".mcap" if storage is StoragePlugin.MCAP else ".db3"
     write_bag(bag, storage, rows=ROWS[:2])
     (bag / f"bag{suffix}").rename(bag / f"z{suffix}")
@@ -371,7 +371,7 @@ def test_a_journal_that_is_not_merged_is_named(tmp_path: Path) -> None:
     assert [name for _, name in done.skipped] == ["bag.db3-wal"]
 
 
-def test_a_compressed_bag_is_refused_and_told_how_to_unpack(tmp_path: Path) -> None:
+def test_a_compressed_bag_is_refused_and_reported_how_to_unpack(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3)
     text = (bag / "metadata.yaml").read_text()
     (bag / "metadata.yaml").write_text(text.replace("compression_mode: ''", "compression_mode: FILE"))
@@ -424,8 +424,8 @@ def test_a_damaged_bag_is_never_worse_than_a_clear_error(tmp_path: Path, name: s
             damaged = damaged[: generator.randrange(len(damaged))]
         (bag / name).write_bytes(damaged)
         try:
-            said = topics(CAMERA, "/drive.drive.steering_angle")
-            import_recording(bag, tmp_path / "log.mcap", said, overwrite=True)
+            printed = topics(CAMERA, "/drive.drive.steering_angle")
+            import_recording(bag, tmp_path / "log.mcap", printed, overwrite=True)
         except UserError as error:
             errors.append(str(error))
     assert len(errors) > 5

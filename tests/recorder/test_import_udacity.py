@@ -138,7 +138,7 @@ def test_decimal_commas(tmp_path: Path, separator: str, cells: str, values: tupl
     assert values_of(imported(tmp_path).path) == [values]
 
 
-def test_a_space_tells_a_separator_from_a_decimal_comma(tmp_path: Path) -> None:
+def test_a_space_shows_a_separator_from_a_decimal_comma(tmp_path: Path) -> None:
     """Without the spaces these cells could as well be a speed of 5.31 mph."""
     make_recording(tmp_path, f"{paths(0, separator=', ')}, 0, 1, 0,5, 31\n", [0])
     assert values_of(imported(tmp_path).path) == [(0.0, 1.0, 0.5, 31.0)]
@@ -230,8 +230,8 @@ def test_several_drives_and_time_going_backwards_keep_their_order(tmp_path: Path
 
 def test_a_shuffled_recording_is_sorted(tmp_path: Path) -> None:
     make_recording(tmp_path, "".join(f"{paths(number)},{CELLS[0]}\n" for number in (2, 0, 1)))
-    (said,) = imported(tmp_path).notices
-    assert said == "time went back 1 time, so its rows were sorted by time"
+    (printed,) = imported(tmp_path).notices
+    assert printed == "time went back 1 time, so its rows were sorted by time"
 
 
 @pytest.mark.parametrize("kept", [20, 120, -18, -12])
@@ -275,7 +275,7 @@ def test_a_picture_that_is_not_a_whole_jpeg_is_left_out_and_named(tmp_path: Path
     assert values_of(done.path) == VALUES
 
 
-def test_a_csv_of_another_name_or_with_other_columns_says_what_to_do(tmp_path: Path) -> None:
+def test_a_csv_of_another_name_or_with_other_columns_reports_what_to_do(tmp_path: Path) -> None:
     make_recording(tmp_path, f"{paths(0)},0.1\n")
     with pytest.raises(RecordingError, match=r"fewer than four values.* name them with --columns"):
         imported(tmp_path)
@@ -344,15 +344,15 @@ def test_the_same_recording_gives_the_same_bytes(tmp_path: Path) -> None:
 # The command
 
 
-def test_bc_record_tells_what_it_wrote(
+def test_bc_record_shows_what_it_wrote(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     make_recording(tmp_path / "drive", three_rows())
     assert call(main, "drive", "lake") == 0
-    told = capsys.readouterr()
-    assert "sessions/lake.mcap: 3 rows, 9 pictures" in told.out
-    assert told.err.splitlines() == [
+    output = capsys.readouterr()
+    assert "sessions/lake.mcap: 3 rows, 9 pictures" in output.out
+    assert output.err.splitlines() == [
         "drive: recording of Udacity's simulator, 3 rows, 10 a second, steering -0.35 to 0.05, most often -0.35",
         "next: `bc-index`",
     ]
@@ -367,9 +367,9 @@ def test_bc_record_ends_with_3_and_names_what_was_left_out(
 ) -> None:
     make_recording(tmp_path / "drive", three_rows(), [0, 1])
     assert call(main, tmp_path / "drive", "lake", "--sessions", tmp_path / "sessions") == 3
-    told = capsys.readouterr()
-    assert "3 rows, 6 pictures" in told.out
-    assert all(picture_name(camera, 2) in told.err for camera in CAMERAS)
+    output = capsys.readouterr()
+    assert "3 rows, 6 pictures" in output.out
+    assert all(picture_name(camera, 2) in output.err for camera in CAMERAS)
 
 
 def without_csv(folder: Path) -> None:
@@ -397,9 +397,9 @@ def test_a_recording_without_anything_usable_writes_nothing(
     folder = tmp_path / "drive"
     make(folder)
     assert call(main, folder, "lake", "--sessions", tmp_path / "sessions") == 1
-    told = capsys.readouterr()
-    assert told.out == ""
-    error, *_ = told.err.splitlines()[-1:]
+    output = capsys.readouterr()
+    assert output.out == ""
+    error, *_ = output.err.splitlines()[-1:]
     assert error.startswith("bc-import: ")
     assert str(folder) in error
     assert not (tmp_path / "sessions").exists() or not list((tmp_path / "sessions").iterdir())

@@ -53,13 +53,13 @@ class Loop:
 
     def __init__(self, port: int, in_flight: int) -> None:
         self.client = at_once(RawClient(port))
-        self.told = 0
+        self.sent = 0
         self.tell(in_flight)
 
     def tell(self, count: int = 1) -> None:
         for _ in range(count):
-            self.client.tell(fields(self.told))
-            self.told += 1
+            self.client.tell(fields(self.sent))
+            self.sent += 1
 
     def expect_answer_to(self, number: int) -> None:
         assert self.client.command() == answer_to(number)

@@ -139,7 +139,7 @@ def test_what_is_kept_is_for_one_content_and_may_be_damaged(tmp_path: Path, unme
     assert describe(unmeasured).lacks_lag
 
 
-def test_a_check_that_cannot_keep_the_lag_says_so(unmeasured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_check_that_cannot_keep_the_lag_reports_so(unmeasured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     unmeasured.with_name("a.lag.json").mkdir()
     call(main, "check", unmeasured)
     out, err = capsys.readouterr()

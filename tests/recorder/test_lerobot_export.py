@@ -69,7 +69,7 @@ def test_every_frame_has_its_jpegs_steering_and_time_exactly(tmp_path: Path) -> 
         assert set(table["log_fingerprint"].to_pylist()) == {opened.fingerprint}
 
 
-def test_what_tells_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
+def test_what_shows_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
     export_lerobot([write_drives(tmp_path / "two.mcap")], tmp_path / "out", task="Stay on the road.")
     info = info_of(tmp_path / "out")
     assert {name: info[name] for name in ("codebase_version", "fps", "chunks_size", "video_path", "splits")} == {
@@ -96,8 +96,8 @@ def test_what_tells_of_it_is_as_lerobot_writes_it(tmp_path: Path) -> None:
     assert tasks.index.tolist() == ["Stay on the road."]
     assert tasks["task_index"].tolist() == [0]
     episodes = pq.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pylist()
-    told = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index", "data/file_index")
-    assert [tuple(episode[name] for name in told) for episode in episodes] == [
+    reported = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index", "data/file_index")
+    assert [tuple(episode[name] for name in reported) for episode in episodes] == [
         (0, ["Stay on the road."], 8, 0, 8, 0),
         (1, ["Stay on the road."], 12, 8, 20, 0),
     ]
@@ -115,9 +115,9 @@ def test_excluded_rows_stay_out_and_what_they_leave_is_two_episodes(
     assert call(bc_log, "export", log, "--lerobot", tmp_path / "out", "--license", "mit") == 0
     assert exported_rows(tmp_path / "out") == [*range(5), *range(17, 25)]
     assert lengths(tmp_path / "out") == [5, 8]
-    said = capsys.readouterr()
-    assert "12 rows tagged exclude left out" in said.err
-    assert "2 episodes, 13 frames, 39 pictures" in said.out
+    printed = capsys.readouterr()
+    assert "12 rows tagged exclude left out" in printed.err
+    assert "2 episodes, 13 frames, 39 pictures" in printed.out
     assert "| 12 |" in (tmp_path / "out/README.md").read_text()
 
 
@@ -132,14 +132,14 @@ def test_rows_that_cannot_be_used_are_named(tmp_path: Path, capsys: pytest.Captu
             writer.vehicle(time_ns, row, VehicleState(steering=2.0 if row == 2 else 0.0, speed_mph=9.0))
     assert call(bc_log, "export", log, "--lerobot", tmp_path / "out") == 3
     assert exported_rows(tmp_path / "out") == [0, 5]
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     for line in (
         "skipped rows of odd.mcap without a picture of the center camera: 1 (row 1)",
         "skipped rows of odd.mcap with steering, pedals or speed out of range: 1 (row 2)",
         "skipped rows whose center picture is not 64 x 32 as the first: 1 (odd.mcap row 3)",
         "skipped rows with a picture that is not a whole JPEG or PNG: 1 (odd.mcap row 4)",
     ):
-        assert line in said
+        assert line in printed
 
 
 def test_of_a_damaged_log_what_is_whole_is_exported(tmp_path: Path) -> None:
@@ -264,7 +264,7 @@ def test_an_export_that_is_interrupted_leaves_nothing(tmp_path: Path, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == ["two.mcap"]
 
 
-def test_the_card_says_what_who_how_and_asks_for_a_licence(tmp_path: Path) -> None:
+def test_the_card_reports_what_who_how_and_asks_for_a_licence(tmp_path: Path) -> None:
     log = write_drives(tmp_path / "two.mcap", metadata={"driver": "ann|e <b>"})
     without: Exported = export_lerobot([log], tmp_path / "without")
     card = (without.folder / "README.md").read_text()

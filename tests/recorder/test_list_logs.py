@@ -51,7 +51,7 @@ def test_sessions_and_drives_are_listed_the_newest_first(
     assert names(capsys, "monday", "sessions", "monday") == ["tuesday", "monday"]  # each once
 
 
-def test_a_line_tells_of_its_log(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_line_shows_of_its_log(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = log_of(project / "sessions" / "monday.mcap", 30)
     assert call(main, "tag", log, "exclude", "--rows", 2, 4) == 0
     capsys.readouterr()
@@ -59,9 +59,9 @@ def test_a_line_tells_of_its_log(project: Path, capsys: pytest.CaptureFixture[st
     line = capsys.readouterr().out.splitlines()[1].split()
     assert (line[0], line[4], line[-1]) == ("monday", "30", "exclude")
     assert call(main, "ls", "--json") == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert call(main, "info", "sessions/monday.mcap", "--json") == 0
-    assert json.loads(told) == json.loads(capsys.readouterr().out)
+    assert json.loads(printed) == json.loads(capsys.readouterr().out)
 
 
 def test_unfinished_and_broken_logs_are_shown_as_such(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,7 +107,7 @@ def test_an_empty_log_has_no_start_and_the_next_step_is_a_recording(
     assert capsys.readouterr().err == "next: `bc-index`\n"
 
 
-def test_without_logs_it_says_how_to_begin(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_logs_it_reports_how_to_begin(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(main, "ls") == 1
     assert "bc-record" in capsys.readouterr().err
     (project / "sessions").mkdir()

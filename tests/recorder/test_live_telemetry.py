@@ -175,7 +175,7 @@ def listened(tmp_path_factory: pytest.TempPathFactory) -> Listened:
     return done
 
 
-def test_every_telemetry_is_answered_by_manual_whoever_told_it(listened: Listened) -> None:
+def test_every_telemetry_is_answered_by_manual_whoever_reported_it(listened: Listened) -> None:
     assert listened.old == ["manual"] * len(DRIVEN)
     assert listened.manual == ["manual"] * 3
     assert listened.modern == [("manual", {})] * (5 + len(BAD))
@@ -188,7 +188,7 @@ def test_the_pictures_are_in_the_log_byte_for_byte(listened: Listened) -> None:
     assert {picture.format for picture in pictures} == {"jpeg"}
 
 
-def test_the_vehicle_is_as_it_was_told_steering_in_shares_of_25_degrees(listened: Listened) -> None:
+def test_the_vehicle_is_as_reported_with_steering_in_shares_of_25_degrees(listened: Listened) -> None:
     states = [decoded for _, decoded in read_messages(listened.log)["/vehicle"]]
     for state, telemetry in zip(states, listened.rows, strict=True):
         assert state.steering == pytest.approx(telemetry.steering, abs=1e-4 / 25)
@@ -241,11 +241,11 @@ def test_ctrl_c_finishes_the_log_under_its_name(listened: Listened) -> None:
 
 
 def test_without_a_terminal_waiting_and_connected_are_said_once(listened: Listened) -> None:
-    said = [line for line in listened.stderr if not line.startswith("skipped ")]
-    bad = [line for line in said if line.startswith("telemetry that cannot be used: ")]
+    printed = [line for line in listened.stderr if not line.startswith("skipped ")]
+    bad = [line for line in printed if line.startswith("telemetry that cannot be used: ")]
     assert len(bad) == len(BAD)  # each is the first of its kind
     assert all(reason in line for line, (_, reason) in zip(bad, BAD.values(), strict=True))
-    assert [line for line in said if line not in bad][1:] == ["connected, waiting for telemetry"]
+    assert [line for line in printed if line not in bad][1:] == ["connected, waiting for telemetry"]
 
 
 def test_a_kind_of_bad_telemetry_is_said_once_and_fills_no_log(tmp_path: Path) -> None:
@@ -322,7 +322,7 @@ def test_it_ends_when_nothing_more_comes(tmp_path: Path, capsys: pytest.CaptureF
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_simulator_that_tells_its_clock_and_place_is_recorded_by_them(
+def test_a_simulator_that_shows_its_clock_and_place_is_recorded_by_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Ten simulated seconds in however little time; what of its world cannot be used is said once."""
@@ -341,8 +341,8 @@ def test_a_simulator_that_tells_its_clock_and_place_is_recorded_by_them(
     assert [time_ns - times_ns[0] for time_ns in times_ns] == [round(i / 4 * 1e9) for i in range(40)]
     assert [message.log_time for message, _ in messages["/pose"]] == times_ns
     assert messages["/pose"][0][1].pose.position.y == 2.0
-    said = [event.message for _, event in messages["/events"] if "world" in event.message]
-    assert said == ["the simulator's world is not used whole: laps is beyond 1e+09, or no number"]
+    printed = [event.message for _, event in messages["/events"] if "world" in event.message]
+    assert printed == ["the simulator's world is not used whole: laps is beyond 1e+09, or no number"]
 
 
 @pytest.mark.parametrize("step_h", [-1, 1])
@@ -386,7 +386,7 @@ def test_nothing_that_can_be_used_is_an_error_and_leaves_no_file(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_before_anybody_came_says_what_to_do_and_leaves_no_file(
+def test_ctrl_c_before_anybody_came_reports_what_to_do_and_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(RecordingError, match="autonomous mode"):

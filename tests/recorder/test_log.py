@@ -73,17 +73,21 @@ def test_what_is_written_on_every_topic_comes_back_from_mcaps_own_reader(tmp_pat
         "/pose": (8, 1),
         "/events": (9, 0),
     }
-    told = {topic: decoded for topic, (_, decoded) in first.items()}
+    reported = {topic: decoded for topic, (_, decoded) in first.items()}
     for topic, level in (("/camera/center", 10), ("/camera/left", 20), ("/camera/right", 30)):
-        assert (told[topic].data, told[topic].format) == (jpeg(level), "jpeg")
-        assert (told[topic].timestamp.seconds, told[topic].timestamp.nanos) == (0, 5)
-    assert (told["/pilot/input"].data, told["/pilot/input"].format) == (b"\x89PNG crop", "png")
-    state = told["/vehicle"]
+        assert (reported[topic].data, reported[topic].format) == (jpeg(level), "jpeg")
+        assert (reported[topic].timestamp.seconds, reported[topic].timestamp.nanos) == (0, 5)
+    assert (reported["/pilot/input"].data, reported["/pilot/input"].format) == (b"\x89PNG crop", "png")
+    state = reported["/vehicle"]
     assert (state.steering, state.throttle, state.brake, state.speed_mph) == (-0.25, 0.5, 0.125, 9.5)
-    command = told["/pilot/command"]
+    command = reported["/pilot/command"]
     assert (command.predicted_steering, command.steering, command.driver) == (1.5, 1.0, 1)
-    assert told["/pose"].frame_id == "world"
-    assert (told["/events"].message, told["/events"].name, told["/events"].level) == ("off the road", "drive", 3)
+    assert reported["/pose"].frame_id == "world"
+    assert (reported["/events"].message, reported["/events"].name, reported["/events"].level) == (
+        "off the road",
+        "drive",
+        3,
+    )
 
 
 def test_what_is_written_comes_back_from_our_reader(tmp_path: Path, place: Place) -> None:
@@ -101,7 +105,7 @@ def test_what_is_written_comes_back_from_our_reader(tmp_path: Path, place: Place
         assert len(log.pictures("/nothing/here").offset) == 0
 
 
-def test_the_file_is_what_the_design_says(tmp_path: Path) -> None:
+def test_the_file_is_what_the_design_reports(tmp_path: Path) -> None:
     """Pictures have chunks of their own, and so has all else; a chunk of pictures ends before that of its rows."""
     path = write_log(tmp_path / "a.mcap", [0.0] * 3000, lambda camera, row: bytes(1000), cameras=("center",))
     with path.open("rb") as stream:
@@ -129,8 +133,8 @@ def test_the_file_is_what_the_design_says(tmp_path: Path) -> None:
 def test_messages_keep_the_order_of_writing_whatever_their_times(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3], step_ns=-STEP_NS)
     with Log(path) as log:
-        told = [(message.log_time_ns, state.steering) for message, state in log.vehicle_states()]
-        assert told == [(START_NS, 0.1), (START_NS - STEP_NS, 0.2), (START_NS - 2 * STEP_NS, 0.3)]
+        reported = [(message.log_time_ns, state.steering) for message, state in log.vehicle_states()]
+        assert reported == [(START_NS, 0.1), (START_NS - STEP_NS, 0.2), (START_NS - 2 * STEP_NS, 0.3)]
         assert log.pictures("/camera/left").sequence.tolist() == [0, 1, 2]
 
 
@@ -233,7 +237,7 @@ def test_an_existing_log_is_refused_at_once_and_stays(tmp_path: Path) -> None:
     assert len(read_messages(path)["/vehicle"]) == 2
 
 
-def test_of_two_writers_on_one_name_one_wins_and_the_other_says_so(tmp_path: Path) -> None:
+def test_of_two_writers_on_one_name_one_wins_and_the_other_reports_so(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writers = [LogWriter(path, {}), LogWriter(path, {})]
     for steering, writer in zip((0.1, 0.2), writers, strict=True):
@@ -333,7 +337,7 @@ def test_wherever_ctrl_c_comes_a_file_is_whole_or_not_there(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "text"),
     [
         (lambda path: path.write_bytes(jpeg(50)), "not an MCAP log"),
         (Path.touch, "not an MCAP log"),
@@ -343,16 +347,16 @@ def test_wherever_ctrl_c_comes_a_file_is_whole_or_not_there(tmp_path: Path) -> N
     ids=["of another program", "empty", "missing", "a folder"],
 )
 def test_a_log_that_cannot_be_read_is_a_log_error_with_its_name(
-    tmp_path: Path, make: Callable[[Path], object], says: str
+    tmp_path: Path, make: Callable[[Path], object], text: str
 ) -> None:
     path = tmp_path / "session.mcap"
     make(path)
-    with pytest.raises(LogError, match=rf"session\.mcap: .*{says}") as caught:
+    with pytest.raises(LogError, match=rf"session\.mcap: .*{text}") as caught:
         read_everything(path)
     assert "\n" not in str(caught.value)
 
 
-def test_a_log_without_its_end_is_read_and_says_so(tmp_path: Path, place: Place) -> None:
+def test_a_log_without_its_end_is_read_and_reports_so(tmp_path: Path, place: Place) -> None:
     """Every other cut: test_damage.py."""
     path = write_log(tmp_path / "a.mcap", [0.1, 0.2, 0.3])
     os.truncate(path, path.stat().st_size - 400)

@@ -135,8 +135,8 @@ def test_the_example_with_the_toolkit(log: Path) -> None:
     sharpest = min(steering)
     row = steering.index(sharpest)
     counts = {"/camera/center": 23, "/camera/left": 24, "/camera/right": 24, "/vehicle": 24}
-    told, *lines = done.stdout.splitlines()
-    source, _, listed = told.partition(" ")
+    reported, *lines = done.stdout.splitlines()
+    source, _, listed = reported.partition(" ")
     assert source == "test"
     assert sorted(re.findall(r"'(\S+)': (\d+)", listed)) == sorted((k, str(v)) for k, v in counts.items())
     assert lines == [
@@ -290,27 +290,27 @@ def every_kind(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Written]:
 
 
 def test_every_topic_stands_on_the_page_with_its_schema(every_kind: dict[str, Written]) -> None:
-    told = dict(re.findall(r"^\| `(/[a-zA-Z/]+)` \| `([\w.]+)` \|", section("Topics"), re.MULTILINE))
+    reported = dict(re.findall(r"^\| `(/[a-zA-Z/]+)` \| `([\w.]+)` \|", section("Topics"), re.MULTILINE))
     schemas: dict[str, str] = {}
     for written in every_kind.values():
         schemas |= {
             re.sub("^/prediction/.+", "/prediction/NAME", topic): schema
             for topic, schema in written.schemas.items()
         }
-    assert told == schemas
+    assert reported == schemas
 
 
 def test_every_metadata_key_stands_on_the_page(every_kind: dict[str, Written]) -> None:
-    told = named("Metadata")
+    reported = named("Metadata")
     missing, seen = set(), set()
     for kind, written in every_kind.items():
         for name, values in written.metadata:
             record = re.sub(r"^bc\.session of .*\.mcap$", "bc.session of NAME.mcap", name)
             keys = {record, *(re.sub(r"^weights_sha256\..+", "weights_sha256.NAME", key) for key in values)}
             seen |= keys
-            missing |= {f"{kind}: {key}" for key in keys if key not in told}
+            missing |= {f"{kind}: {key}" for key in keys if key not in reported}
         source = dict(written.metadata)["bc.session"]["source"]
-        assert source in told, f"{kind}: source {source}"
+        assert source in reported, f"{kind}: source {source}"
     assert missing == set()
     # and no key on the page is one that no log has any more
     lines = re.findall(r"^\| (`.*?) \|", section("Metadata"), re.MULTILINE)
@@ -318,8 +318,8 @@ def test_every_metadata_key_stands_on_the_page(every_kind: dict[str, Written]) -
 
 
 def test_every_event_stands_on_the_page(every_kind: dict[str, Written]) -> None:
-    told = re.findall(r"^\| `(.+?)` \|", section("Events"), re.MULTILINE)
-    patterns = [re.compile(re.sub(r"REASON|NAME|NUMBER|SIZE|SIDE", ".+", re.escape(text))) for text in told]
+    reported = re.findall(r"^\| `(.+?)` \|", section("Events"), re.MULTILINE)
+    patterns = [re.compile(re.sub(r"REASON|NAME|NUMBER|SIZE|SIDE", ".+", re.escape(text))) for text in reported]
     events = {event for written in every_kind.values() for event in written.events}
     assert events
     assert [event for event in events if not any(pattern.fullmatch(event) for pattern in patterns)] == []
@@ -330,17 +330,17 @@ def test_every_field_stands_on_the_page(
     message: type[VehicleState] | type[PilotCommand] | type[Prediction],
 ) -> None:
     descriptor = message.DESCRIPTOR
-    told = re.findall(r"^\| `(\w+)` \|", section(descriptor.full_name), re.MULTILINE)
-    assert told == [field.name for field in descriptor.fields]
+    reported = re.findall(r"^\| `(\w+)` \|", section(descriptor.full_name), re.MULTILINE)
+    assert reported == [field.name for field in descriptor.fields]
     values = {value.name for kind in descriptor.enum_types for value in kind.values}
     assert values - named(descriptor.full_name) == set()
 
 
 def test_the_columns_in_the_example_are_those_of_the_tables(log: Path) -> None:
     code = (ROOT / "examples" / "log_with_toolkit.py").read_text(encoding="utf-8")
-    told = {name: columns.split(", ") for name, columns in re.findall(r"log\.(\w+)\(\)  # .*?: (.*)", code)}
+    reported = {name: columns.split(", ") for name, columns in re.findall(r"log\.(\w+)\(\)  # .*?: (.*)", code)}
     with Log(log) as opened:
-        assert told == {"frames": opened.frames().column_names, "vehicle": opened.vehicle().column_names}
+        assert reported == {"frames": opened.frames().column_names, "vehicle": opened.vehicle().column_names}
 
 
 def test_what_belongs_to_one_row_has_its_number_and_its_time(every_kind: dict[str, Written]) -> None:
@@ -362,7 +362,7 @@ def test_what_belongs_to_one_row_has_its_number_and_its_time(every_kind: dict[st
                     assert decoded.frame_id == f"tf#{topic}"
 
 
-def test_the_file_is_laid_out_as_the_page_says(every_kind: dict[str, Written]) -> None:
+def test_the_file_is_laid_out_as_the_page_reports(every_kind: dict[str, Written]) -> None:
     for kind, written in every_kind.items():
         with written.path.open("rb") as stream:
             records = list(StreamReader(stream, emit_chunks=True).records)

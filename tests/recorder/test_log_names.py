@@ -55,8 +55,8 @@ def test_what_to_type_instead_also_copies_the_tags(capsys: pytest.CaptureFixture
     assert call(bc_log, "tag", "lake", "good", "--rows", "2", "3") == 0
     capsys.readouterr()
     assert call(bc_log, "copy", "lake", "drives/to day.mcap") == 1
-    said = one_line_in(capsys)
-    subprocess.run(said[said.index("`") + 1 : said.rindex("`")], shell=True, check=True)
+    output = one_line_in(capsys)
+    subprocess.run(output[output.index("`") + 1 : output.rindex("`")], shell=True, check=True)
     assert call(bc_log, "tag", "drives/to day.mcap") == 0
     assert capsys.readouterr().out == "good: rows 2 to 3\n"
 

@@ -78,7 +78,7 @@ def test_a_file_url_of_windows_is_a_path_with_its_drive(monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     ("text", "meant"), [("s3:/x/a.mcap", "s3://x/a.mcap"), ("file:/a.mcap", "file:///a.mcap")]
 )
-def test_a_url_that_lacks_a_slash_is_told_with_it(text: str, meant: str) -> None:
+def test_a_url_that_lacks_a_slash_is_reported_with_it(text: str, meant: str) -> None:
     with pytest.raises(UsageError, match=f"{text}: not a path; the URL is spelt {meant}"):
         location(text)
 
@@ -139,7 +139,7 @@ def put(log: Path, bucket: Bucket) -> Url:
     return bucket.url(log.name)
 
 
-def test_tags_of_a_long_log_are_told_too(
+def test_tags_of_a_long_log_are_reported_too(
     bucket: Bucket, longest: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     url = put(longest, bucket)
@@ -210,7 +210,7 @@ def refused(status: int, code: str) -> Answer:
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "reported"),
     [
         (refused(403, "AccessDenied"), r"refuses this request with these credentials \(AccessDenied\)"),
         (refused(403, "RequestTimeTooSkewed"), "this machine's clock is wrong"),
@@ -225,12 +225,12 @@ def refused(status: int, code: str) -> Answer:
     ],
 )
 def test_a_store_that_refuses_is_one_line(
-    bucket: Bucket, answer: Answer, told: str, capsys: pytest.CaptureFixture[str]
+    bucket: Bucket, answer: Answer, reported: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also where it is HEAD that is refused, which comes without a word of why."""
     bucket.answer = answer
     assert call(main, "info", "s3://logs/sessions.mcap") == 1
-    assert re.search(told, one_line_in(capsys))
+    assert re.search(reported, one_line_in(capsys))
 
 
 def test_a_log_that_the_store_refuses_does_not_hold_up_the_others(
@@ -253,15 +253,15 @@ def test_a_listing_and_a_copy_that_are_refused_are_one_line(
 
 
 @pytest.mark.parametrize(
-    ("url", "told"),
+    ("url", "reported"),
     [
         ("s3://logs", "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"),
         ("gs://logs", "GOOGLE_APPLICATION_CREDENTIALS"),
         ("az://logs", "AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY"),
     ],
 )
-def test_without_credentials_it_says_which_to_set(
-    bucket: Bucket, url: str, told: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_without_credentials_it_reports_which_to_set(
+    bucket: Bucket, url: str, reported: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in list(os.environ):
         if name.startswith(("AWS_", "AZURE_", "GOOGLE_")):
@@ -272,10 +272,10 @@ def test_without_credentials_it_says_which_to_set(
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", bucket.endpoint)
     bucket.answer = lambda passing: passing.fail(404, "NotFound")  # a machine that has no role
     assert call(main, "ls", url) == 1
-    assert f"{url}: no usable credentials: set {told}" in one_line_in(capsys)
+    assert f"{url}: no usable credentials: set {reported}" in one_line_in(capsys)
 
 
-def test_without_the_right_to_list_it_says_so(
+def test_without_the_right_to_list_it_reports_so(
     bucket: Bucket, log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def as_s3_does(passing: Passing) -> bool:
@@ -366,7 +366,7 @@ def test_credentials_are_those_of_the_usual_files(
     assert seen
 
 
-def test_without_obstore_a_url_says_what_to_install(tmp_path: Path) -> None:
+def test_without_obstore_a_url_reports_what_to_install(tmp_path: Path) -> None:
     code = "import sys; sys.modules['obstore'] = None; from recorder.log_cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, "info", "s3://b/a.mcap"], capture_output=True, text=True)
     assert done.returncode == 1

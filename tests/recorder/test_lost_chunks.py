@@ -111,9 +111,9 @@ def complaints_of(whole: Path, lost: list[StoredChunk], *, is_killed: bool = Fal
     )  # of the rest, nothing is left
     if numbers(written, MISSING) != {row for row in gone if row <= last}:
         yield f"named as missing: {sorted(numbers(written, MISSING))}, not {sorted(gone)}"
-    told = numbers(written, REST_LOST) | numbers(written, "messages of a row that was never finished")
-    if told != {m.sequence for m in hit}:
-        yield f"named as torn: {sorted(told)}"
+    reported = numbers(written, REST_LOST) | numbers(written, "messages of a row that was never finished")
+    if reported != {m.sequence for m in hit}:
+        yield f"named as torn: {sorted(reported)}"
     kept, findings = driven(left), check(to, look=False).findings
     for topic in sorted(PICTURE_TOPICS & original.by_topic.keys()):
         dark = kept - {m.sequence for m in left if m.topic == topic}

@@ -60,7 +60,7 @@ def write_rows(
         ([0.0, 0.1, 1.2, 1.3], {1.2: "not recorded: inf s, "}, ["before row 2"]),
     ],
 )
-def test_a_gap_counts_unless_an_event_at_its_row_tells_its_length(
+def test_a_gap_counts_unless_an_event_at_its_row_shows_its_length(
     tmp_path: Path, at_s: list[float], events: dict[float, str], expected: list[str]
 ) -> None:
     path = log_of(tmp_path / "a.mcap", at_s, events)
@@ -119,7 +119,7 @@ def test_rows_that_are_cut_out_are_missed(tmp_path: Path) -> None:
     assert findings(both) == [("gaps in time", "before row 6")]
 
 
-def test_the_log_says_itself_which_gaps_were_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_log_reports_itself_which_gaps_were_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """So that `bc-log info` and the list of sessions need not read it all; a log made of it says so, too."""
     path = log_of(tmp_path / "a.mcap", [0.0, 0.1, 1.2, 1.3, 3.4, 3.5], {}, {1.2: GAP})
     part = tmp_path / "part.mcap"
@@ -128,10 +128,10 @@ def test_the_log_says_itself_which_gaps_were_meant(tmp_path: Path, capsys: pytes
         assert describe(log).meant_gaps == [2]
     capsys.readouterr()
     assert call(main, "info", path) == 0
-    told = capsys.readouterr().out
-    assert "1 gap that its events explain" in told
-    assert "gap: rows 4 to 4" in told
-    assert "gap: rows 2 to 2" not in told
+    printed = capsys.readouterr().out
+    assert "1 gap that its events explain" in printed
+    assert "gap: rows 4 to 4" in printed
+    assert "gap: rows 2 to 2" not in printed
 
 
 def test_an_unfinished_log_is_asked_for_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,13 +146,13 @@ def test_an_unfinished_log_is_asked_for_them(tmp_path: Path, monkeypatch: pytest
     assert info.meant_gaps == [2]
 
 
-@pytest.mark.parametrize("told", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
-def test_what_another_program_says_of_them_is_no_error(told: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("printed", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
+def test_what_another_program_reports_of_them_is_no_error(printed: str, tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.mcap", {"source": "test"}) as writer:
         writer.vehicle(START_NS, 0, VehicleState())
     with Log(tmp_path / "a.mcap") as log:
         quality = log.read_metadata("bc.quality")
-    found = Findings.from_metadata({**quality, "meant_gaps": told})
+    found = Findings.from_metadata({**quality, "meant_gaps": printed})
     assert found is not None
     assert found.meant_gaps == []
 

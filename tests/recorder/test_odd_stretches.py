@@ -92,7 +92,7 @@ def test_a_parked_car_stands_for_long_and_an_ordinary_start_does_not() -> None:
     assert found_in((60.0, 0.0, 0.0, 0.0, 0.0)) == []  # nobody measures a speed
 
 
-def test_creeping_and_coasting_to_a_halt_are_told_but_not_sure() -> None:
+def test_creeping_and_coasting_to_a_halt_are_reported_but_not_sure() -> None:
     creep = [STOP, (4.0, 0.0, 0.1, 0.6, 2.0), START]
     assert [stretch[0::3] for stretch in found_in(CRUISE, *creep, CRUISE)] == [("creeping", False)]
     coast = [(6.0, 0.0, 0.0, 20.0, 0.0), (1.0, 0.0, 0.0, 0.0, 0.0), START]

@@ -74,14 +74,16 @@ def gathered(stored: Iterable[tuple[Schema | None, Channel, Message]]) -> Read:
     schemas = {}
     for schema, channel, message in stored:
         assert schema is not None
-        told = Told(message.sequence, message.log_time, message.publish_time, digest(message.data))
-        messages[channel.topic].append(told)
+        reported = Told(message.sequence, message.log_time, message.publish_time, digest(message.data))
+        messages[channel.topic].append(reported)
         schemas[channel.topic] = (schema.name, schema.encoding, digest(schema.data), channel.message_encoding)
     return Read(dict(messages), schemas)
 
 
 def by_time(by_topic: dict[str, list[Told]]) -> dict[str, list[Told]]:
-    return {topic: sorted(messages, key=lambda told: told.log_time) for topic, messages in by_topic.items()}
+    return {
+        topic: sorted(messages, key=lambda reported: reported.log_time) for topic, messages in by_topic.items()
+    }
 
 
 def backwards(by_topic: dict[str, list[Told]]) -> dict[str, list[Told]]:
@@ -196,7 +198,7 @@ def test_mcaps_own_reader_agrees_on_a_topic_and_on_a_stretch(log: Path) -> None:
         begin_ns, end_ns = START_NS + ROWS // 7 * STEP_NS, START_NS + ROWS // 2 * STEP_NS
         stretch = gathered(reader.iter_messages(starting_at=begin_ns, ending_before=end_ns))
         within = {
-            topic: [told for told in messages if begin_ns <= told.log_time < end_ns]
+            topic: [reported for reported in messages if begin_ns <= reported.log_time < end_ns]
             for topic, messages in by_time(expected.messages).items()
         }
         assert stretch.messages == within
@@ -285,7 +287,7 @@ def test_reruns_reader_agrees(log: Path) -> None:
     }
     expected = ours(log)
     assert by_topic == {
-        topic: [told[1:] for told in messages] for topic, messages in by_time(expected.messages).items()
+        topic: [reported[1:] for reported in messages] for topic, messages in by_time(expected.messages).items()
     }
     info = RerunReader(log).info()
     with Log(log) as opened:
@@ -316,15 +318,17 @@ def test_rerun_decodes_the_pictures_and_the_numbers(log: Path) -> None:
             assert shown(f"/camera/{camera}", "EncodedImage:blob") == sorted(jpegs)
         for topic, message in (("/vehicle", "bc.VehicleState"), ("/pilot/command", "bc.PilotCommand")):
             steering = [(time_ns, state["steering"]) for time_ns, state in shown(topic, f"{message}:message")]
-            assert steering == sorted((told.log_time_ns, state.steering) for told, state in opened.decoded(topic))
+            assert steering == sorted(
+                (reported.log_time_ns, state.steering) for reported, state in opened.decoded(topic)
+            )
 
 
 def test_rerun_finds_nothing_wrong(log: Path, name: str) -> None:
     """But that time goes back where a later drive was put before an earlier one."""
-    told, checked = rerun("info", log), rerun("check", "--full", log)
+    reported, checked = rerun("info", log), rerun("check", "--full", log)
     with Log(log) as opened:
         for topic, count in opened.counts.items():
-            (line,) = (line for line in told.splitlines() if f" {topic} " in line)
+            (line,) = (line for line in reported.splitlines() if f" {topic} " in line)
             assert f" {count:,} " in line or f" {count} " in line
             (line,) = (line for line in checked.splitlines() if f" {topic} " in line)
             if name == LOGS[2]:

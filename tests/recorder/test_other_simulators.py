@@ -95,13 +95,13 @@ def test_pictures_without_times_name_the_flag(
     assert call(main, tmp_path / "torcs", "torcs") == 1
     assert "its rows have no times: give --rate ROWS_A_SECOND, such as 20" in one_line_in(capsys)
     assert call(main, tmp_path / "torcs", "torcs", "--rate", 20) == 0
-    said = capsys.readouterr()
-    assert said.err.splitlines()[-1] == "next: `bc-index`"
-    assert "torcs.mcap: 4 rows, 4 pictures" in said.out
+    printed = capsys.readouterr()
+    assert printed.err.splitlines()[-1] == "next: `bc-index`"
+    assert "torcs.mcap: 4 rows, 4 pictures" in printed.out
 
 
 @both_ways
-def test_a_rate_for_pictures_that_tell_their_times_is_refused(tmp_path: Path, record: Record) -> None:
+def test_a_rate_for_pictures_that_show_their_times_is_refused(tmp_path: Path, record: Record) -> None:
     make_recording(tmp_path / "drive", f"{paths(0)},0,1,0,9.5\n", [0])
     with pytest.raises(RecordingError, match=r"--rate: .*leave it out"):
         record(tmp_path / "drive", tmp_path / "log.mcap", 20)
@@ -132,7 +132,7 @@ def picture_of(width: int, height: int) -> bytes:
 
 
 @both_ways
-def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: Record) -> None:
+def test_pictures_of_different_sizes_are_reported_at_import(tmp_path: Path, record: Record) -> None:
     folder = tmp_path / "torcs"
     make_folder(folder)
     assert record(folder, tmp_path / "one.mcap", 20).notices == []
@@ -145,7 +145,7 @@ def test_pictures_of_different_sizes_are_told_at_import(tmp_path: Path, record: 
     )
 
 
-def test_cameras_of_different_sizes_are_told(tmp_path: Path) -> None:
+def test_cameras_of_different_sizes_are_reported(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.mcap", {"source": "simulator"}) as writer:
         for row in range(2):
             writer.picture("center", row, row, picture_of(320, 160))

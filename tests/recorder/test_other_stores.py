@@ -178,7 +178,7 @@ def test_a_folder_goes_to_azure_and_back_whatever_answers_are_lost(azure: Store,
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("url", "key", "told"),
+    ("url", "key", "reported"),
     [
         ("az://nowhere", ACCOUNT_KEY, "az://nowhere: no such bucket"),
         ("az://logs", "d3Jvbmc=", "the store refuses this request with these credentials (AuthorizationFailure)"),
@@ -189,7 +189,7 @@ def test_what_azure_refuses_is_one_line(
     azure: Store,
     url: str,
     key: str,
-    told: str,
+    reported: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -199,4 +199,4 @@ def test_what_azure_refuses_is_one_line(
         assert call(main, "ls", url) == 1
     finally:
         forget_stores()
-    assert told in one_line_in(capsys)
+    assert reported in one_line_in(capsys)

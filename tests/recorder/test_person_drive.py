@@ -118,7 +118,7 @@ def events(path: Path) -> list[str]:
         return [event.message for _, event in log.decoded("/events")] if "/events" in log.counts else []
 
 
-def test_a_drive_is_a_log_of_three_cameras_that_says_who_steered_and_how(tmp_path: Path) -> None:
+def test_a_drive_is_a_log_of_three_cameras_that_has_who_steered_and_how(tmp_path: Path) -> None:
     drive = Drive(tmp_path / "mine.mcap", Simulation("lake"))
     began_ns = time.time_ns()
     with drive.page() as page:
@@ -311,7 +311,7 @@ def test_a_drive_without_a_row_leaves_no_log(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.mcap*"))
 
 
-def test_the_page_is_told_why_the_disk_ended_the_drive(tmp_path: Path) -> None:
+def test_the_page_is_reported_why_the_disk_ended_the_drive(tmp_path: Path) -> None:
     drive = Drive(tmp_path / "full.mcap")
     with drive.page() as page:
         page.send("record")

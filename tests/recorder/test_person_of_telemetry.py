@@ -225,7 +225,7 @@ def test_a_simulators_pace_is_that_of_its_time(tmp_path: Path, monkeypatch: pyte
         drive.end()
 
 
-def test_a_drive_that_recorded_nothing_says_what_to_do(tmp_path: Path) -> None:
+def test_a_drive_that_recorded_nothing_reports_what_to_do(tmp_path: Path) -> None:
     with Drive(tmp_path / "a.mcap").running() as drive:
         drive.drive(0.0, 0.0)
         assert drive.end()["rows"] == 0

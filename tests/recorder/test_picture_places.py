@@ -78,7 +78,7 @@ def exchanged(one: int, two: int, *fields: int) -> Change:
     return change
 
 
-def test_it_tells_the_truth(path: Path) -> None:
+def test_it_shows_the_truth(path: Path) -> None:
     rows, pictures = given_out(path)
     assert pictures == {(camera, row): picture(camera, row) for camera in CAMERAS for row in range(ROWS)}
     assert len(rows) == ROWS
@@ -212,7 +212,7 @@ def at_other_times(index: ChunkIndex) -> None:
         (at_other_times, "chunks with wrong times or sizes in the summary"),
     ],
 )
-def test_what_the_summary_tells_falsely_of_a_chunk_is_found(
+def test_what_the_summary_shows_falsely_of_a_chunk_is_found(
     path: Path, change: Callable[[ChunkIndex], None], kind: str
 ) -> None:
     """By what it tells, chunks of pictures are passed over."""
@@ -258,7 +258,7 @@ def test_a_copy_in_other_chunks_is_read_as_it_is(path: Path, first_row: int, chu
         assert log.attachments == []
 
 
-def test_a_killed_log_may_tell_the_places_of_its_beginning(
+def test_a_killed_log_may_show_the_places_of_its_beginning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A long one: they are written every so many pictures. Nothing new has them of it."""

@@ -63,7 +63,7 @@ def test_each_step_is_a_row_of_what_was_seen_and_what_the_expert_wanted(
         assert log.metadata["driver"] == "tests.helpers.toy_environment:centre"
 
 
-def test_what_the_environment_does_not_tell_stays_empty() -> None:
+def test_what_the_environment_does_not_show_stays_empty() -> None:
     environment = bar_file(action="steering,0.5", args={"observation": "picture"})
     assert call(bc_record, "gym", environment, "bar", *CENTRE) == 0
     vehicle = states("bar")
@@ -95,9 +95,9 @@ def test_what_an_expert_wanted_is_learnt_as_it_is_however_he_steers(capsys: pyte
     assert call(bc_record, "gym", bar_file(), "steps", *expert, "--episodes", 45, "--rate", 5) == 0
     capsys.readouterr()
     assert call(bc_log, "info", "sessions/steps.mcap", "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["steering"]["kind"] == "steps"
-    assert told["labels"] == "as recorded (driven by an expert)"
+    output = json.loads(capsys.readouterr().out)
+    assert output["steering"]["kind"] == "steps"
+    assert output["labels"] == "as recorded (driven by an expert)"
 
 
 def test_left_may_be_positive_and_scales_may_differ() -> None:
@@ -113,9 +113,9 @@ def test_car_racing_is_recorded(capsys: pytest.CaptureFixture[str]) -> None:
     expert = ROOT / "examples" / "car_racing_expert.py"
     Path("race.toml").write_text((ROOT / "examples/car_racing.toml").read_text() + "args.max_episode_steps = 20")
     assert call(bc_record, "gym", "race.toml", "race", "--expert", f"{expert}:drive") == 0
-    said = capsys.readouterr()
-    assert "20 rows, 20 pictures" in said.out
-    assert said.err.startswith("1 episode driven to the end, with a reward of ")
+    printed = capsys.readouterr()
+    assert "20 rows, 20 pictures" in printed.out
+    assert printed.err.startswith("1 episode driven to the end, with a reward of ")
     with Log("sessions/race.mcap") as log:
         picture = cv2.imdecode(np.frombuffer(log.picture(19), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None

@@ -72,7 +72,7 @@ def test_the_same_speed_again_is_another_drive(tmp_path: Path) -> None:
     assert first != second
 
 
-def test_the_session_tells_its_speeds_and_where_each_begins(both: Path, slow: Path) -> None:
+def test_the_session_shows_its_speeds_and_where_each_begins(both: Path, slow: Path) -> None:
     begin = len(rows(slow))
     with Log(both) as log:
         assert log.metadata["drive.speed"] == "10 30"
@@ -108,12 +108,14 @@ def test_one_speed_is_recorded_as_ever(slow: Path) -> None:
         assert log.counts.get("/events", 0) == 0
 
 
-@pytest.mark.parametrize(("speeds", "said"), [((10, 0), "--speed 0"), (("nan",), "--speed nan"), ((), "--speed")])
+@pytest.mark.parametrize(
+    ("speeds", "printed"), [((10, 0), "--speed 0"), (("nan",), "--speed nan"), ((), "--speed")]
+)
 def test_speeds_that_nobody_drives_are_refused(
-    speeds: tuple[object, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    speeds: tuple[object, ...], printed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(record_main, "x", "--sessions", tmp_path, "--speed", *speeds) == 2
-    assert said in one_line_in(capsys)
+    assert printed in one_line_in(capsys)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -134,7 +136,7 @@ def test_the_log_names_the_driver_and_is_indexed_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (("--from", "recording", "--driver", "keyboard"), "--driver: no such flag"),
         (("--listen", "--driver", "mouse"), "bc-record listen: --driver: no such flag"),
@@ -142,8 +144,8 @@ def test_the_log_names_the_driver_and_is_indexed_whole(tmp_path: Path) -> None:
     ],
 )
 def test_a_driver_that_cannot_be_is_a_mistake_in_the_command(
-    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], printed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(record_main, "x", "--sessions", tmp_path, *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert printed in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -99,7 +99,7 @@ def test_an_index_is_built_anew_and_holds_the_same_samples(old: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("kind", ["killed", "another program's"])
-def test_what_cannot_be_rewritten_says_what_to_do(old: Path, tmp_path: Path, kind: str) -> None:
+def test_what_cannot_be_rewritten_reports_what_to_do(old: Path, tmp_path: Path, kind: str) -> None:
     path = tmp_path / "a.mcap"
     if kind == "killed":
         path.write_bytes(old.read_bytes()[:-100_000])
@@ -123,6 +123,6 @@ def test_nothing_is_overwritten_and_a_damaged_log_leaves_nothing(
     assert not list(tmp_path.glob("damaged*"))
 
 
-def test_it_says_the_sizes_of_its_pictures(old: Path, tmp_path: Path) -> None:
+def test_it_reports_the_sizes_of_its_pictures(old: Path, tmp_path: Path) -> None:
     quality = dict(contents(rewrite(old, tmp_path / "new.mcap").path).metadata)["bc.quality"]
     assert set(json.loads(quality["first_picture_px"])) == {"/camera/center", "/camera/left", "/camera/right"}

@@ -133,7 +133,7 @@ def test_a_hit_and_the_manoeuvring_after_it_are_one_crash() -> None:
         pytest.param([CRUISE, *[(0.2, 24 - 2 * i, 0.0) for i in range(12)], (2.0, 0.1, 0.9)], id="full lock"),
     ],
 )
-def test_a_crash_is_told_by_its_impact_or_by_the_wheel(parts: list[tuple[float, float, float]]) -> None:
+def test_a_crash_is_reported_by_its_impact_or_by_the_wheel(parts: list[tuple[float, float, float]]) -> None:
     assert len(flagged(driven(*parts, CRUISE), "crash")) >= 20
 
 
@@ -157,7 +157,7 @@ def test_what_is_no_crash(parts: list[tuple[float, float, float]]) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [2, 60])
-def test_a_crash_is_told_at_any_rate(rate_hz: int) -> None:
+def test_a_crash_is_reported_at_any_rate(rate_hz: int) -> None:
     time_s = [i / rate_hz for i in range(30 * rate_hz)]
     speed_mph = [24.0 if second < 20 or second >= 24 else 0.1 for second in time_s]
     crash = flagged(states(time_s, speed_mph=speed_mph), "crash")
@@ -193,21 +193,21 @@ def write(path: Path) -> Path:
     return path
 
 
-def test_a_written_log_says_what_is_odd_about_its_rows(tmp_path: Path) -> None:
-    told = dict(contents(write(tmp_path / "a.mcap")).metadata)["bc.quality"]
+def test_a_written_log_reports_what_is_odd_about_its_rows(tmp_path: Path) -> None:
+    reported = dict(contents(write(tmp_path / "a.mcap")).metadata)["bc.quality"]
     counts = {"gap": "1", "out_of_range": "1", "standing_still": "1", "stuck_steering": "50"}
-    assert told.items() >= ({"rows": "51", "drives": "2"} | counts).items()
-    assert json.loads(told["stretches"]) == [
+    assert reported.items() >= ({"rows": "51", "drives": "2"} | counts).items()
+    assert json.loads(reported["stretches"]) == [
         ["stuck_steering", 0, 49, 0.0, 4.9],
         ["gap", 50, 50, 4.9, 10.0],
         ["out_of_range", 50, 50, 10.0, 10.0],
         ["standing_still", 50, 50, 10.0, 10.0],
     ]
     with Log(tmp_path / "a.mcap") as log:
-        assert log.read_metadata("bc.quality") == told
+        assert log.read_metadata("bc.quality") == reported
 
 
-def test_a_log_without_vehicle_states_says_nothing(tmp_path: Path) -> None:
+def test_a_log_without_vehicle_states_reports_nothing(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.mcap", {}) as writer:
         writer.event(START_NS, "connected")
     assert "bc.quality" not in dict(contents(tmp_path / "a.mcap").metadata)
@@ -218,5 +218,5 @@ def test_at_most_a_hundred_stretches_are_listed_but_all_are_counted(tmp_path: Pa
         for row in range(400):
             state = VehicleState(steering=2.0 if row % 2 else row / 1000, speed_mph=9.0)
             writer.vehicle(START_NS + row * SECOND_NS // 10, row, state)
-    told = dict(contents(tmp_path / "a.mcap").metadata)["bc.quality"]
-    assert (told["out_of_range"], len(json.loads(told["stretches"]))) == ("200", 100)
+    reported = dict(contents(tmp_path / "a.mcap").metadata)["bc.quality"]
+    assert (reported["out_of_range"], len(json.loads(reported["stretches"]))) == ("200", 100)

@@ -43,7 +43,7 @@ def recording() -> Path:
     return folder
 
 
-def test_a_car_that_is_told_is_kept_and_read_back() -> None:
+def test_a_car_that_is_reported_is_kept_and_read_back() -> None:
     assert call(bc_import, recording(), "own", "--car", "own.toml") == 0
     with Log("sessions/own.mcap") as log:
         assert stored_car(log) == Car(max_steering_deg=30, wheelbase_m=2.4, speed_unit="m/s")
@@ -65,7 +65,7 @@ def test_what_earlier_versions_knew_of_cameras_is_left_out(capsys: pytest.Captur
         assert stored_car(log) == named_car("own.toml")
 
 
-def test_a_log_that_tells_none_is_of_udacitys() -> None:
+def test_a_log_that_shows_none_is_of_udacitys() -> None:
     assert call(bc_import, recording(), "plain") == 0
     with Log("sessions/plain.mcap") as log:
         assert CAR_KEY not in log.metadata
@@ -73,20 +73,20 @@ def test_a_log_that_tells_none_is_of_udacitys() -> None:
         assert log.vehicle()["speed_mph"].to_pylist() == [5.0]
 
 
-def test_the_built_in_simulators_sessions_tell_its_own(tmp_path: Path) -> None:
+def test_the_built_in_simulators_sessions_show_its_own(tmp_path: Path) -> None:
     record_simulated(SimulatedDrive(laps=0.001), tmp_path / "lake.mcap")
     with Log(tmp_path / "lake.mcap") as log:
         assert stored_car(log) == BUILT_IN == Car(max_steering_deg=25, wheelbase_m=2.6, speed_unit="mph")
 
 
 def test_live_telemetry_is_in_the_degrees_and_the_unit_of_its_car() -> None:
-    told = fields(0) | {"steering_angle": "-15.0000", "speed": "10.0000"}
-    assert parse_telemetry(told).steering == -15 / 25
-    own = parse_telemetry(told, car=Car(max_steering_deg=30, speed_unit="km/h"))
+    reported = fields(0) | {"steering_angle": "-15.0000", "speed": "10.0000"}
+    assert parse_telemetry(reported).steering == -15 / 25
+    own = parse_telemetry(reported, car=Car(max_steering_deg=30, speed_unit="km/h"))
     assert own.steering == -0.5
     assert own.speed_mph == pytest.approx(10 / 1.609344)
     with pytest.raises(TelemetryError) as lost:  # what can be used of it is in mph, too
-        parse_telemetry(told | {"image": None}, car=Car(speed_unit="m/s"))
+        parse_telemetry(reported | {"image": None}, car=Car(speed_unit="m/s"))
     assert lost.value.speed_mph == pytest.approx(22.369363)
 
 

@@ -85,16 +85,16 @@ def test_poses_decide_where_the_pictures_turn_the_other_way(tmp_path: Path) -> N
     assert found_in(drive) == expected
 
 
-def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(
+def test_the_check_of_a_log_and_the_frames_of_an_index_show_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wheel = wrong_for_a_while(lambda at_s: -hand(at_s))
     log = write_drive(tmp_path / "sessions" / "a.mcap", views(ROWS), wheel)
     ((first, last),) = found_in(log)
     assert call(bc_log, "check", log) == 3
-    said = capsys.readouterr().out
-    assert f"steering against the pictures: rows {first} to {last}," in said
-    assert f"`bc-log tag {log} exclude --odd --look` excludes all that is sure" in said
+    printed = capsys.readouterr().out
+    assert f"steering against the pictures: rows {first} to {last}," in printed
+    assert f"`bc-log tag {log} exclude --odd --look` excludes all that is sure" in printed
     assert call(bc_log, "check", log, "--no-look") == 0
 
     index = tmp_path / "index"
@@ -110,13 +110,13 @@ def test_the_check_of_a_log_and_the_frames_of_an_index_tell_it(
 def test_a_check_names_a_recording_that_is_mirrored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_drive(tmp_path / "a.mcap", views(700), lambda at_s: -hand(at_s))
     assert call(bc_log, "check", log) == 3
-    said = capsys.readouterr().out
-    assert "700 pictures decoded: 1 finding\n" in said
-    assert "  sessions whose pictures turn the other way: 1 (all rows; is left right?)\n" in said
+    printed = capsys.readouterr().out
+    assert "700 pictures decoded: 1 finding\n" in printed
+    assert "  sessions whose pictures turn the other way: 1 (all rows; is left right?)\n" in printed
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_an_index_says_that_a_session_is_mirrored(
+def test_an_index_reports_that_a_session_is_mirrored(
     side: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     steering = side * hand(np.arange(700) / RATE_HZ)

@@ -62,7 +62,7 @@ def test_a_hand_at_the_wheel_is_smooth() -> None:
     assert habits.ceiling[1] > 0.99
 
 
-def test_a_hand_is_in_time_only_if_pictures_have_told() -> None:
+def test_a_hand_is_in_time_only_if_pictures_have_reported() -> None:
     habits = steering_habits(rows_of(hand(100)))
     assert plan_labels(habits, None).why == "smooth"
     assert plan_labels(habits, LagFinding(SteeringLag(-0.1, 0.9, 400))).why == "smooth and in time"
@@ -136,7 +136,7 @@ ODD: dict[str, tuple[Callable[[], States], str, str]] = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_a_session_that_tells_nothing_is_named_and_learnt_as_recorded(name: str) -> None:
+def test_a_session_that_shows_nothing_is_named_and_learnt_as_recorded(name: str) -> None:
     make, kind, why = ODD[name]
     habits = steering_habits(make())
     plan = plan_labels(habits, LagFinding(None))
@@ -165,16 +165,16 @@ numbers = st.floats() | st.sampled_from([0.0, 1.0, -1.0, math.inf, math.nan])
 
 def info_of(path: Path, capsys: pytest.CaptureFixture[str], *flags: str) -> dict[str, Any]:
     assert call(main, "info", path, "--json", *flags) == 0
-    told: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return told
+    reported: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return reported
 
 
-def test_info_says_how_a_log_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_reports_how_a_log_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_log(tmp_path / "a.mcap", keys(70), cameras=("center",))
-    told = info_of(path, capsys)
+    reported = info_of(path, capsys)
     expected = json.loads(json.dumps(asdict(steering_habits(rows_of(keys(70))))))
-    assert told["steering"] == expected
-    assert (told["lag"], told["labels"]) == (None, "mean of 0.5 s, 0.2 s later (lag not measured)")
+    assert reported["steering"] == expected
+    assert (reported["lag"], reported["labels"]) == (None, "mean of 0.5 s, 0.2 s later (lag not measured)")
     assert info_of(path, capsys, "--look")["labels"] == "mean of 0.5 s, 0.2 s later"  # its pictures are none
     assert call(main, "info", path) == 0
     printed = " ".join(capsys.readouterr().out.split())
@@ -188,7 +188,7 @@ def test_a_log_that_does_not_say_it_is_asked_for_its_rows(
     """Those of earlier versions, and whatever somebody else has written there."""
     new = info_of(write_log(tmp_path / "new.mcap", keys(70)), capsys)["steering"]
     for number, noted in enumerate(("", "[]", '{"kind": "steps"}', "\\ud800")):
-        monkeypatch.setattr("recorder.log.writer.json.dumps", lambda *_, said=noted, **__: said)
+        monkeypatch.setattr("recorder.log.writer.json.dumps", lambda *_, output=noted, **__: output)
         path = write_log(tmp_path / f"old{number}.mcap", keys(70))
         monkeypatch.undo()
         assert info_of(path, capsys)["steering"] == new

@@ -70,14 +70,14 @@ def test_a_noisy_lag_has_a_wider_margin_that_holds_the_true_one(tmp_path: Path) 
         assert abs(noisy.lag_s - 0.2) <= noisy.margin_s + 1e-9
 
 
-def test_pictures_that_turn_the_other_way_are_told(tmp_path: Path) -> None:
+def test_pictures_that_turn_the_other_way_are_reported(tmp_path: Path) -> None:
     lag = lag_of(write_drive(tmp_path / "a.mcap", views(ROWS), lambda at_s: -hand(at_s - 0.2)))
     assert lag is not None
     assert lag.lag_s == pytest.approx(0.2, abs=0.051)
     assert lag.correlation < -0.9
 
 
-def test_what_tells_nothing_is_no_lag(tmp_path: Path) -> None:
+def test_what_shows_nothing_is_no_lag(tmp_path: Path) -> None:
     pictures = views(ROWS)
     assert lag_of(write_drive(tmp_path / "short.mcap", pictures[:150])) is None
     assert lag_of(write_drive(tmp_path / "slow.mcap", pictures, speed_mph=2.0)) is None

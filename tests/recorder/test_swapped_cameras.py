@@ -77,7 +77,7 @@ def test_a_camera_with_the_pictures_of_another_is_found(
     assert "  cameras with the same pictures: 1 (center and left; " in capsys.readouterr().out
 
 
-def test_pictures_that_tell_nothing_are_not_called_swapped(tmp_path: Path, seen: list[list[bytes]]) -> None:
+def test_pictures_that_show_nothing_are_not_called_swapped(tmp_path: Path, seen: list[list[bytes]]) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (5, 3, 160, 320), dtype=np.uint8)
     black = np.zeros((160, 320), np.uint8)
     moments = {

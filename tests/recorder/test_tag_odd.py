@@ -54,8 +54,8 @@ def test_where_nothing_is_found_nothing_is_tagged(parked: Path, capsys: pytest.C
     assert tags_of(parked) == []
     clean = write_log(parked.with_name("clean.mcap"), [0.1 * (row % 7) for row in range(60)])
     assert call(main, "tag", clean, "exclude", "--odd") == 0
-    assert "nothing that is surely odd; nothing was tagged" in (said := capsys.readouterr().err)
-    assert "next:" not in said
+    assert "nothing that is surely odd; nothing was tagged" in (shown := capsys.readouterr().err)
+    assert "next:" not in shown
 
 
 def test_a_check_advises_to_exclude_only_what_it_finds_itself(
@@ -89,7 +89,7 @@ def test_a_person_is_asked_once_it_is_listed(
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "shown"),
     [
         (("--odd", "--rows", 1, 2), "give one of --odd, --where"),
         (("--where", "row = 1", "--odd"), "give one of --odd, --where"),
@@ -98,10 +98,10 @@ def test_a_person_is_asked_once_it_is_listed(
     ],
 )
 def test_flags_that_contradict_each_other_are_a_mistake(
-    flags: tuple[object, ...], said: str, parked: Path, capsys: pytest.CaptureFixture[str]
+    flags: tuple[object, ...], shown: str, parked: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, "tag", parked, "exclude", *flags) == 2
-    assert said in capsys.readouterr().err
+    assert shown in capsys.readouterr().err
     assert tags_of(parked) == []
 
 

@@ -63,7 +63,7 @@ def test_numbers_as_every_machine_writes_them(speed: object, throttle: object, s
 @pytest.mark.parametrize(
     ("throttle", "separator"), [("0.2500", "."), ("0,2500", ","), ("0/2500", "/"), (0.25, "."), ("1", ".")]
 )
-def test_the_throttle_tells_how_the_machine_separates_decimals(throttle: object, separator: str) -> None:
+def test_the_throttle_shows_how_the_machine_separates_decimals(throttle: object, separator: str) -> None:
     assert parse_telemetry(telemetry(throttle=throttle)).decimal_separator == separator
 
 
@@ -127,7 +127,7 @@ def test_every_culture_is_understood_and_answered_in_kind(speed: str, throttle: 
     }
 
 
-def test_what_is_out_of_range_is_told_as_it_came() -> None:
+def test_what_is_out_of_range_is_reported_as_it_came() -> None:
     for degrees, expected in (("25.0000", 1.0), ("-25.0000", -1.0), ("26", 1.04), ("-4,000.0", -160.0)):
         assert parse_telemetry(telemetry(steering_angle=degrees)).steering == expected
     for throttle in ("1.5", "-0.5"):
@@ -172,7 +172,7 @@ def test_the_reason_names_what_came_and_its_kind_does_not(
         ({"speed": "fast", "throttle": None, "steering_angle": None}, None, None),
     ],
 )
-def test_what_can_be_read_of_a_bad_telemetry_is_told(
+def test_what_can_be_read_of_a_bad_telemetry_is_reported(
     changed: dict[str, object], speed_mph: float | None, separator: str | None
 ) -> None:
     with pytest.raises(TelemetryError) as error:
@@ -319,13 +319,13 @@ def problem(value: object, decimal: str = ".") -> str:
     return text
 
 
-def test_a_world_is_taken_where_it_is_told() -> None:
+def test_a_world_is_taken_where_it_is_reported() -> None:
     assert used(world()) == WORLD
     assert used(world(more=["of", "it"])) == WORLD
     assert used(None) is None
 
 
-def test_each_member_may_be_told_by_itself() -> None:
+def test_each_member_may_be_reported_by_itself() -> None:
     assert used({"time_s": 1.5}) == World(time_s=1.5)
     assert used({"time_s": 1.5, "laps": None}) == World(time_s=1.5)
     assert used({"laps": 0.5, "interventions": 0}) == World(laps=0.5, interventions=0)
@@ -354,7 +354,7 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "answers"),
     [
         ("time_s", True, "time_s is not a number but true or false"),
         ("laps", [1.0], "laps is not a number but a list"),
@@ -368,14 +368,14 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
         ("interventions", 0.5, "interventions is not a whole number from 0 on"),
     ],
 )
-def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, said: str) -> None:
+def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, answers: str) -> None:
     parsed, problems = parse_world(world(**{name: value}))
-    assert problems == (said,)
+    assert problems == (answers,)
     assert parsed == World(**world(**{name: None}))
 
 
 @pytest.mark.parametrize("value", [{}, {"time": 3}])
-def test_names_that_nobody_knows_are_told_those_that_are(value: object) -> None:
+def test_names_that_nobody_knows_are_reported_those_that_are(value: object) -> None:
     assert parse_world(value)[0] is None
     assert all(name in problem(value) for name in MEMBERS)
 
@@ -417,13 +417,13 @@ def telling(**more: object) -> dict[str, Any]:
 def test_what_is_wrong_with_a_world_is_named_once(pilot: Pilot) -> None:
     driver = Driver(pilot, DriveConfig())
     worlds = [{"time_s": k / 10, "laps": "half", **({"offset": True} if k > 2 else {})} for k in range(6)]
-    said = [driver.decide(telling(world=value), 0.0, now_s=0.0).events for value in worlds]
+    answers = [driver.decide(telling(world=value), 0.0, now_s=0.0).events for value in worlds]
     laps = "the simulator's world is not used whole: laps is a string that is no plain number"
     offset = "the simulator's world is not used whole: offset is not a number but true or false"
-    assert said == [(laps,), (), (), (offset,), (), ()]
+    assert answers == [(laps,), (), (), (offset,), (), ()]
 
 
-def test_a_simulator_that_tells_its_time_alone_is_driven_by_it(pilot: Pilot) -> None:
+def test_a_simulator_that_shows_its_time_alone_is_driven_by_it(pilot: Pilot) -> None:
     """Steering that is smoothed over a second follows the simulator's seconds, whatever the clock shows."""
 
     def steered(seconds_of_the_clock: float) -> list[float]:

@@ -78,7 +78,7 @@ def test_old_and_modern_clients_are_served_at_once_on_one_port() -> None:
     assert book.calls.count("telemetry") == book.calls.count("answered") == 40 + 40 + 50
     assert book.calls.count("connected") == 4
     assert book.overlaps == 0
-    assert serving.said == []
+    assert serving.notices == []
 
 
 def test_a_telemetry_is_timed_from_its_last_byte_to_the_answers_leaving() -> None:
@@ -314,7 +314,7 @@ def test_what_the_handler_raises_ends_the_run_and_is_raised_there(
     assert isinstance(serving.error, DiskError)
 
 
-def test_a_port_in_use_says_what_to_do() -> None:
+def test_a_port_in_use_reports_what_to_do() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ListenError, match=rf"127\.0\.0\.1:{port} .*bc-drive.*--port"):
@@ -341,7 +341,7 @@ def test_a_simulator_comes_over_ipv6(host: str, monkeypatch: pytest.MonkeyPatch)
     with Serving(book, host=host) as serving:
         tell(serving.port, range(3), host=host)
     assert len(book.answered_ms) == 3
-    assert serving.said == []
+    assert serving.notices == []
 
 
 def test_broken_packets_are_hung_up_on_and_said_once() -> None:
@@ -362,7 +362,7 @@ def test_broken_packets_are_hung_up_on_and_said_once() -> None:
             client.until_hung_up()
         assert tell(serving.port, range(3))
         wait_until(lambda: book.calls.count("connected") == book.calls.count("disconnected"))
-    (line,) = serving.said
+    (line,) = serving.notices
     assert "protocol" in line
 
 
@@ -375,7 +375,7 @@ def test_empty_messages_are_passed_over() -> None:
             client.tell(fields(number))
             assert client.command() == steered(Steer(-steering(number), 0.5))
         client.close()
-    assert serving.said == []
+    assert serving.notices == []
 
 
 def test_broken_frames_and_endless_messages_are_hung_up_on() -> None:
@@ -391,9 +391,9 @@ def test_broken_frames_and_endless_messages_are_hung_up_on() -> None:
                     client.websocket.send_frame(ABNF.create_frame(b"4" * (1 << 20), opcode, 0))
             client.until_hung_up()
         assert tell(serving.port, range(3))
-    assert len(serving.said) == 2
-    assert "websocket protocol" in serving.said[0]
-    assert "too much" in serving.said[1]
+    assert len(serving.notices) == 2
+    assert "websocket protocol" in serving.notices[0]
+    assert "too much" in serving.notices[1]
 
 
 def get(port: int, path: str) -> tuple[int, str]:
@@ -421,13 +421,13 @@ def greet_by_tls(port: int) -> None:
         pytest.fail("it was answered by TLS")
 
 
-def test_a_browser_is_told_what_the_port_is_for() -> None:
+def test_a_browser_is_reported_what_the_port_is_for() -> None:
     with Serving(Book()) as serving:
         status, text = get(serving.port, "/")
         assert (status, text.count("\n")) == (200, 1)
         assert "autonomous mode" in text
         assert get(serving.port, "/favicon.ico") == (404, text)
-    (line,) = serving.said
+    (line,) = serving.notices
     assert "browser" in line
     assert "autonomous mode" in line
 
@@ -443,16 +443,16 @@ KNOCKS: dict[str, tuple[Callable[[int], object], str]] = {
 
 
 @pytest.mark.parametrize(("knock", "line"), KNOCKS.values(), ids=KNOCKS)
-def test_who_speaks_something_else_costs_one_line_that_says_what_to_do(
+def test_who_speaks_something_else_costs_one_line_that_reports_what_to_do(
     knock: Callable[[int], object], line: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with Serving(Book()) as serving:
         for _ in range(3):
             knock(serving.port)
-        wait_until(lambda: len(serving.said) > 0)
+        wait_until(lambda: len(serving.notices) > 0)
         assert tell(serving.port, range(2))
-    assert len(serving.said) == 1
-    assert re.search(line, serving.said[0])
+    assert len(serving.notices) == 1
+    assert re.search(line, serving.notices[0])
     assert capfd.readouterr() == ("", "")  # no traceback either
 
 
@@ -515,7 +515,7 @@ def test_the_reason_is_plain_where_a_telemetry_is_no_object() -> None:
 def test_hundreds_of_malformed_telemetries_are_each_answered_once() -> None:
     with Serving(Book()) as serving:
         ask(serving, 600, seed=7)
-    assert serving.said == []
+    assert serving.notices == []
 
 
 @pytest.mark.parametrize("first", [Steer(0.0, 0.0), "manual"])

@@ -127,9 +127,9 @@ def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], whe
         "index": original.chunks[5].end,
         "metadata": data.index(b"bc.session") - 13,  # before the first chunk
     }[where]
-    told = int.from_bytes(data[at + 1 : at + 9], "little")
+    declared = int.from_bytes(data[at + 1 : at + 9], "little")
     sound = [chunk for i, chunk in enumerate(original.chunks) if (i, where) != (5, "chunk")]
-    for length in (0, told - 1, told + 1, told + 9000, 1 << 40, 1 << 63):
+    for length in (0, declared - 1, declared + 1, declared + 9000, 1 << 40, 1 << 63):
         data[at + 1 : at + 9] = length.to_bytes(8, "little")
         path.write_bytes(data)
         assert pictures_of(path) == pictures_in(sound), length
@@ -182,7 +182,7 @@ with LogWriter(Path(sys.argv[1]), {"source": "test"}, live=True) as writer:
 """
 
 
-def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path) -> None:
+def test_a_log_that_still_grows_is_reported_from_one_that_was_killed(tmp_path: Path) -> None:
     with Process([sys.executable, "-c", HOLDER, str(tmp_path / "lake.mcap")]) as recorder:
         recorder.wait_for("written")
         [part] = tmp_path.iterdir()
@@ -195,8 +195,8 @@ def test_a_log_that_still_grows_is_told_from_one_that_was_killed(tmp_path: Path)
                 recover(part, name)
         written = recover(part, recovered_name(part))
         assert (written.path, written.rows) == (tmp_path / "lake.recovered.mcap", 5)
-        told = "it is still being recorded; lake.recovered.mcap lacks its end"
-        assert written.notices == [f"{part}: {told}"]
+        reported = "it is still being recorded; lake.recovered.mcap lacks its end"
+        assert written.notices == [f"{part}: {reported}"]
         recorder.end(signal.SIGKILL)
     assert not is_being_written(part)
     with Log(part) as log:
@@ -273,7 +273,7 @@ class Drive:
     pictures: list[bytes]
     answered_s: list[float] = field(default_factory=list)
     is_killed: bool = False
-    told: int = 0
+    sent: int = 0
 
     @property
     def promised(self) -> int:
@@ -292,9 +292,9 @@ class Drive:
             assert client.connections == 1
 
     def _port(self) -> int:
-        said = self.log.with_suffix(".txt")
-        wait_until(said.exists)
-        port = wait_until(lambda: re.search(r"127\.0\.0\.1:(\d+)\n", said.read_text()))
+        printed = self.log.with_suffix(".txt")
+        wait_until(printed.exists)
+        port = wait_until(lambda: re.search(r"127\.0\.0\.1:(\d+)\n", printed.read_text()))
         assert port is not None
         return int(port[1])
 
@@ -302,8 +302,8 @@ class Drive:
         if answer is not None:
             self.answered_s.append(time.monotonic())
             time.sleep(TOLD_EVERY_S)
-        row = self.told
-        self.told += 1
+        row = self.sent
+        self.sent += 1
         if row == MAX_ROWS:
             return None
         return SimulatorTelemetry(steering=row / MAX_ROWS, throttle=0.5, speed_mph=9.0, jpeg=self.pictures[row])

@@ -162,7 +162,7 @@ def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
         "a terabyte",
     ],
 )  # masks are random, and names of tests must not be
-def test_who_breaks_the_protocol_is_told_and_heard_no_more(
+def test_who_breaks_the_protocol_is_reported_and_heard_no_more(
     ends: tuple[WebSocket, socket.socket], data: bytes, reason: str, code: int
 ) -> None:
     websocket, far = ends

@@ -57,44 +57,44 @@ def driven(
     return heard, book
 
 
-def world_of(told: Telemetry) -> Any:
+def world_of(reported: Telemetry) -> Any:
     """A `World` of which nothing is None: the built-in simulator tells all of it."""
-    assert told.world is not None
-    assert None not in vars(told.world).values()
-    return told.world
+    assert reported.world is not None
+    assert None not in vars(reported.world).values()
+    return reported.world
 
 
-def as_the_expert(told: Telemetry) -> tuple[float, float]:
-    steering, throttle = world_of(told).expert
+def as_the_expert(reported: Telemetry) -> tuple[float, float]:
+    steering, throttle = world_of(reported).expert
     return steering, throttle
 
 
-def weaving(told: Telemetry) -> tuple[float, float]:
+def weaving(reported: Telemetry) -> tuple[float, float]:
     """Not where the expert would go."""
-    return 0.1 * math.sin(2 * world_of(told).time_s), 0.8
+    return 0.1 * math.sin(2 * world_of(reported).time_s), 0.8
 
 
 def to_the_left_until(offset: float) -> Drive:
     """Off to the left with the wheel turned, then as the expert, until the end."""
     taken_over = threading.Event()
 
-    def drive(told: Telemetry) -> tuple[float, float]:
-        if world_of(told).offset > offset:
+    def drive(reported: Telemetry) -> tuple[float, float]:
+        if world_of(reported).offset > offset:
             taken_over.set()
-        return as_the_expert(told) if taken_over.is_set() else (-0.3, 0.5)
+        return as_the_expert(reported) if taken_over.is_set() else (-0.3, 0.5)
 
     return drive
 
 
-def test_the_world_is_that_of_the_moment_whose_picture_is_told() -> None:
+def test_the_world_is_that_of_the_moment_whose_picture_is_reported() -> None:
     heard, _ = driven(weaving, laps=0.015)
-    told = [parse_telemetry(fields) for fields in heard]
+    reported = [parse_telemetry(fields) for fields in heard]
     other = Simulation("lake")  # driven by the same commands: each takes hold after its telemetry was answered
     expert = Expert(other.track.line, SET_SPEED_MPH)
-    assert len(told) > 20
-    for number, moment in enumerate(told):
+    assert len(reported) > 20
+    for number, moment in enumerate(reported):
         if number >= 2:  # two telemetries are told before the first answer
-            steering, throttle = weaving(told[number - 2])
+            steering, throttle = weaving(reported[number - 2])
             other.course.advance(steering, throttle, 1 / RATE_HZ)
         steering, throttle = expert.control(other.course)
         assert moment.world == World(
@@ -108,7 +108,7 @@ def test_the_world_is_that_of_the_moment_whose_picture_is_told() -> None:
         )
         assert moment.picture == other.jpeg()
         assert world_of(moment).time_s == pytest.approx(max(0, number - 1) / RATE_HZ)
-    assert len({moment.world for moment in told}) == len(told) - 1  # the first two tell the same moment
+    assert len({moment.world for moment in reported}) == len(reported) - 1  # the first two tell the same moment
 
 
 def test_every_value_is_a_json_number_and_the_rest_is_as_the_real_one() -> None:
@@ -139,8 +139,8 @@ def test_without_that_it_is_put_back_and_counted_before_he_can() -> None:
 
 @pytest.mark.parametrize(("leave_off_road", "patience_s"), [(False, 5.0), (True, 15.0)])
 def test_a_car_that_does_not_get_on_is_put_back_all_the_same(leave_off_road: bool, patience_s: float) -> None:
-    def drive(told: Telemetry) -> tuple[float, float]:
-        return as_the_expert(told) if world_of(told).interventions else (0.0, 0.0)
+    def drive(reported: Telemetry) -> tuple[float, float]:
+        return as_the_expert(reported) if world_of(reported).interventions else (0.0, 0.0)
 
     heard, book = driven(drive, laps=0.002, rate_hz=2.0, leave_off_road=leave_off_road)
     worlds = [world_of(parse_telemetry(fields)) for fields in heard]
@@ -170,7 +170,7 @@ def test_a_command_can_ask_for_the_car_to_be_put_back_once() -> None:
 
 
 def test_a_car_that_never_gets_on_is_given_up_and_the_drive_ends() -> None:
-    _, book = driven(lambda told: (0.0, 0.0), laps=1.0, rate_hz=2.0)
+    _, book = driven(lambda reported: (0.0, 0.0), laps=1.0, rate_hz=2.0)
     assert book.gave_up
     assert book.measures.elapsed_s == pytest.approx(60, abs=1)
     assert (book.whole_laps, book.measures.interventions) == (0, 12)  # put back every 5 s
@@ -192,13 +192,13 @@ def test_an_expert_of_25_hz_one_step_late_keeps_the_road() -> None:
 def first_telemetries(*flags: str) -> list[dict[str, Any]]:
     """What `bc-sim` tells with these flags."""
     heard: list[dict[str, Any]] = []
-    with BareServer(serving(lambda told: (0.0, 1.0), heard)) as server:
+    with BareServer(serving(lambda reported: (0.0, 1.0), heard)) as server:
         line = ("--port", str(server.port), "--laps", "0.0005", "--rate", "10")
         assert call(main, *line, *flags) == 0
     return heard
 
 
-def test_bc_sim_tells_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bc_sim_shows_the_world_only_if_it_is_asked_to(capsys: pytest.CaptureFixture[str]) -> None:
     assert not any("world" in fields for fields in first_telemetries())
     slow, fast = (first_telemetries("--tell-world", "--expert-speed", mph) for mph in ("5", "25"))
     # at rest both want to be faster; once rolling, the slow one less so
@@ -227,7 +227,7 @@ def test_what_makes_no_sense_is_one_line_that_names_the_flag(
     flags: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(main, "--port", "1", *flags) == 2
-    told = capsys.readouterr()
-    assert f"bc-sim: {named}" in told.err
-    assert "Traceback" not in told.err
-    assert told.out == ""
+    reported = capsys.readouterr()
+    assert f"bc-sim: {named}" in reported.err
+    assert "Traceback" not in reported.err
+    assert reported.out == ""

@@ -42,9 +42,9 @@ def serve_for_ever(wire: Wire) -> None:
 
 
 def telling(
-    told: list[SimulatorMessage], answers: list[ServerCommand]
+    reported: list[SimulatorMessage], answers: list[ServerCommand]
 ) -> Callable[[ServerCommand], SimulatorMessage]:
-    rest = iter(told)
+    rest = iter(reported)
 
     def next_telemetry(answer: ServerCommand) -> SimulatorMessage:
         answers.append(answer)
@@ -63,9 +63,9 @@ def test_it_announces_no_connection_and_sends_two_telemetries_first() -> None:
         wire.hear()
 
     answers: list[ServerCommand] = []
-    told: list[SimulatorMessage] = [SimulatorTelemetry(0.0, 0.0, 9.0, road_jpeg(i)) for i in range(3)]
+    reported: list[SimulatorMessage] = [SimulatorTelemetry(0.0, 0.0, 9.0, road_jpeg(i)) for i in range(3)]
     with BareServer(serve) as server:
-        SimulatorClient(port=server.port).run(telling(told, answers))
+        SimulatorClient(port=server.port).run(telling(reported, answers))
     (wire,) = server.wires
     assert wire.request.startswith("GET /socket.io/?EIO=4&transport=websocket HTTP/1.1\r\n")
     assert not any(message.startswith("40") for message in wire.messages)
@@ -91,15 +91,15 @@ def test_a_telemetry_has_four_decimals_in_frames_of_1016_bytes() -> None:
     assert 0 < len(message[-1].payload) <= 1016
 
 
-def test_a_world_is_told_beside_the_strings_as_an_object_of_numbers() -> None:
+def test_a_world_is_reported_beside_the_strings_as_an_object_of_numbers() -> None:
     jpeg = road_jpeg(0)
     world = {"time_s": 1.5, "offset": -0.1, "interventions": 2}
-    told: list[SimulatorMessage] = [
+    reported: list[SimulatorMessage] = [
         SimulatorTelemetry(-0.5, 0.25, 9.0, jpeg),
         SimulatorTelemetry(-0.5, 0.25, 9.0, jpeg, world),
     ]
     with BareServer(serve_for_ever) as server:
-        SimulatorClient(port=server.port, decimal_comma=True).run(telling(told, []))
+        SimulatorClient(port=server.port, decimal_comma=True).run(telling(reported, []))
     plain, with_world = (m for m in server.wires[0].messages if m.startswith("42"))
     # the same bytes to the last brace: an object is added, and nothing else is changed
     assert plain.endswith('"}]')
@@ -214,16 +214,16 @@ def test_it_connects_again_when_the_server_dies_in_the_middle() -> None:
         wire.hear_telemetry()
 
     answers: list[ServerCommand] = []
-    told: list[SimulatorMessage] = [SimulatorTelemetry(0, 0, 0, b"\xff")] * 8
+    reported: list[SimulatorMessage] = [SimulatorTelemetry(0, 0, 0, b"\xff")] * 8
     with BareServer(die_after_three, serve_for_ever) as server:
         client = SimulatorClient(port=server.port)
-        client.run(telling(told, answers))
+        client.run(telling(reported, answers))
     assert client.connections == 2
     assert client.telemetries == 8
     assert answers[:5] == [None, None, SteerCommand(0.1, 0.2), None, None]
 
 
-def test_a_replay_tells_every_picture_once_and_waits_for_the_last_answer() -> None:
+def test_a_replay_shows_every_picture_once_and_waits_for_the_last_answer() -> None:
     def answer_each(wire: Wire) -> None:
         wire.say(OPEN)
         while True:
@@ -234,10 +234,10 @@ def test_a_replay_tells_every_picture_once_and_waits_for_the_last_answer() -> No
     with BareServer(answer_each) as server:
         commands = replay(SimulatorClient(port=server.port), pictures)
     assert commands == [SteerCommand(0.1, 0.2)] * 5
-    told = [json.loads(message[2:])[1] for message in server.wires[0].messages if message.startswith("42")]
-    assert [base64.b64decode(fields["image"]) for fields in told] == pictures
-    assert {fields["steering_angle"] for fields in told[2:]} <= {"0.0000", "2.5000"}
-    assert told[-1]["steering_angle"] == "2.5000"
+    reported = [json.loads(message[2:])[1] for message in server.wires[0].messages if message.startswith("42")]
+    assert [base64.b64decode(fields["image"]) for fields in reported] == pictures
+    assert {fields["steering_angle"] for fields in reported[2:]} <= {"0.0000", "2.5000"}
+    assert reported[-1]["steering_angle"] == "2.5000"
 
 
 def test_it_gives_up_when_there_is_no_server() -> None:
@@ -250,7 +250,7 @@ def test_it_gives_up_when_there_is_no_server() -> None:
 
 
 @pytest.mark.parametrize(("flag", "is_told"), [("", True), ("--real-time", False), ("--tell-world", False)])
-def test_the_built_in_simulator_says_where_its_time_is_not_the_clocks(
+def test_the_built_in_simulator_reports_where_its_time_is_not_the_clocks(
     flag: str, is_told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with socket.socket() as nobody:

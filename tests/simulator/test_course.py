@@ -55,7 +55,7 @@ def keep_to_the_ring(course: Course, throttle: float, seconds: float) -> None:
         course.advance(-wheel / MAX_WHEEL_RAD, throttle)
 
 
-def test_it_starts_at_rest_on_the_line_where_it_is_told_to() -> None:
+def test_it_starts_at_rest_on_the_line_where_it_is_reported_to() -> None:
     course = Course(ring())
     course.start(arc_m=RADIUS_M * math.pi / 2)
     assert (course.vehicle.x_m, course.vehicle.y_m) == pytest.approx((0.0, RADIUS_M), abs=0.05)

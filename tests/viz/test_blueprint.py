@@ -114,7 +114,7 @@ def test_arcs_bend_to_where_the_car_is_steered(drive: Path) -> None:
             assert arc[:, 1].tolist() == sorted(arc[:, 1], reverse=True)
 
 
-def test_who_drives_is_told_where_that_changes(drive: Path) -> None:
+def test_who_drives_is_reported_where_that_changes(drive: Path) -> None:
     driver = contents(drive)["/driver"]
     states = [state[0] for state in driver["StateChange:state"] if state]
     assert states == ["pilot", "human"]

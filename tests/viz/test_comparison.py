@@ -106,12 +106,12 @@ def test_a_log_without_a_sound_end_is_compared_and_said(
 
 
 def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> None:
-    drive, said = write_drive(tmp_path / "a.mcap"), tmp_path / "said.mcap"
-    with LogWriter(said, {"source": "prediction"}) as log:
+    drive, printed = write_drive(tmp_path / "a.mcap"), tmp_path / "said.mcap"
+    with LogWriter(printed, {"source": "prediction"}) as log:
         for row in range(ROWS):
             steering = Prediction(steering=-row / 100, recorded_steering=row / 100)
             log.prediction("first", START_NS + row * STEP_NS, row, steering)
-    entities = shown(tmp_path / "x.rrd", drive, said)
+    entities = shown(tmp_path / "x.rrd", drive, printed)
     predicted = values(entities, "/said/steering/predicted_by/first")
     assert predicted == pytest.approx([-row / 100 for row in range(ROWS)])
     times = entities["/said/steering/predicted_by/first"]["since start"]
@@ -122,7 +122,7 @@ def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> Non
     assert {"said: steering, -1 left .. 1 right", "said: error in degrees: predicted - recorded"} <= names
 
 
-def test_logs_of_one_name_are_told_apart(tmp_path: Path) -> None:
+def test_logs_of_one_name_are_reported_apart(tmp_path: Path) -> None:
     first, second = tmp_path / "one" / "run.mcap", tmp_path / "two" / "run.mcap"
     assert names_of([first, second]) == ["one/run", "two/run"]
     assert names_of([first, first, first]) == ["one/run", "one/run (2)", "one/run (3)"]
@@ -135,7 +135,7 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
     drive, still = write_drive(tmp_path / "a.mcap"), write_drive(tmp_path / "still.mcap", poses=False)
     with LogWriter(tmp_path / "far.mcap", {}) as far:
         far.pose(START_NS, 0, pose_message(Pose(5e3, 5e3, 0.0, 0.0, 0.0, 0.0), START_NS))
-    for words, says, code in (
+    for words, message, code in (
         ((drive, still, "--by", "place"), f"{still}: has no poses", 1),
         (
             (drive, tmp_path / "far.mcap", "--by", "place"),
@@ -149,9 +149,9 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path, capsys: pytest.Capt
         ((drive, drive, "--follow"), "only with one log", 2),
         ((drive, drive, "--web"), "--save writes a file and opens nothing", 2),
     ):
-        assert call(main, *words, "--save", tmp_path / "x.rrd") == code, says
+        assert call(main, *words, "--save", tmp_path / "x.rrd") == code, message
         (line,) = capsys.readouterr().err.splitlines()
-        assert says in line
+        assert message in line
     assert not list(tmp_path.glob("*.rrd*"))
 
 

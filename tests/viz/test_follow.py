@@ -309,7 +309,7 @@ def test_what_could_not_be_shown_is_named_and_the_exit_code_is_3(
     assert (tmp_path / "a.rrd").exists()
 
 
-def test_pictures_too_old_to_be_shown_are_told_once(
+def test_pictures_too_old_to_be_shown_are_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("viz.live.follow.BEHIND_S", 0.0)
@@ -332,8 +332,8 @@ def test_pictures_too_old_to_be_shown_are_told_once(
     follower.run()
     finished, skipped = capsys.readouterr().err.splitlines()
     assert finished == "bc-play: a.mcap is finished"
-    told = f"pictures not shown, to keep up (the log has them): {4 * (ROWS - 2)}"  # but the last row's
-    assert skipped.startswith(f"bc-play: skipped {told} (/camera/center row 1, ")
+    reported = f"pictures not shown, to keep up (the log has them): {4 * (ROWS - 2)}"  # but the last row's
+    assert skipped.startswith(f"bc-play: skipped {reported} (/camera/center row 1, ")
     assert follower.code == 3
 
 
@@ -377,15 +377,15 @@ def test_a_killed_recording_is_shown_as_far_as_it_is_whole(tmp_path: Path) -> No
     rrd = tmp_path / "live.rrd"
     with Process([sys.executable, "-c", RECORDER, str(tmp_path / "live.mcap")]) as recording:
         part = Path(recording.wait_for("^part (.*)$")[1])
-        says = f"{part}: its recording was killed; all complete chunks are shown; `bc-log recover {part}`"
+        text = f"{part}: its recording was killed; all complete chunks are shown; `bc-log recover {part}`"
         save = Process(command("bc-play", part, "--follow", "--save", rrd))
         with save, Following(part) as window:
             viewer = window.wait_for_viewer()
             wait_for_bytes(tmp_path, "live.rrd.*.part", 1000)
             recording.end(signal.SIGKILL)
             assert save.join() == 3
-            assert says in save.stderr[0]
-            window.wait_for(re.escape(says))
+            assert text in save.stderr[0]
+            window.wait_for(re.escape(text))
             assert viewer.is_running()
             assert window.end(signal.SIGINT) == 130
     blobs = contents(rrd)["/camera/center"]["EncodedImage:blob"]
@@ -400,9 +400,9 @@ def test_what_was_cut_off_by_a_kill_is_named(
     part = tmp_path / "a.mcap.ab12cd.part"
     part.write_bytes(data[: data.index(picture(5, 1)) + 1000])
     assert call(main, part, "--follow", "--save", tmp_path / "a.rrd") == 3
-    said = capsys.readouterr().err
-    assert "killed" in said
-    assert f"to {part.stat().st_size:,}" in said
+    printed = capsys.readouterr().err
+    assert "killed" in printed
+    assert f"to {part.stat().st_size:,}" in printed
     part.write_bytes(b"")
     assert call(main, part, "--follow", "--save", tmp_path / "b.rrd") == 1
     assert "killed before it wrote anything" in capsys.readouterr().err

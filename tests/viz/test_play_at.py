@@ -115,7 +115,7 @@ def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("flags", "says"),
+    ("flags", "message"),
     [
         (("--at", "60"), f"--at 60: {{log}} is {LENGTH_S:.1f} s long"),
         (("--at", "-1"), "--at -1: expected seconds since the log's start"),
@@ -126,13 +126,13 @@ def test_a_viewer_stands_at_the_moment_that_was_asked_for(log: Path, tmp_path: P
     ],
 )
 def test_a_moment_that_cannot_be_is_one_line(
-    flags: tuple[str, ...], says: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flags: tuple[str, ...], message: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = () if "--video" in flags else ("--save", tmp_path / "a.rrd")
-    code = 1 if "s long" in says else 2  # how long a log is, its flags do not tell
+    code = 1 if "s long" in message else 2  # how long a log is, its flags do not tell
     assert call(main, log, *(flag.format(log=log) for flag in flags), *saved) == code
     (line,) = capsys.readouterr().err.splitlines()
-    assert says.format(log=log) in line
+    assert message.format(log=log) in line
     assert not list(tmp_path.iterdir())
 
 
@@ -141,7 +141,7 @@ def test_a_moment_that_cannot_be_is_one_line(
 
 @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="a script cannot stand in for the viewer there")
 @pytest.mark.parametrize(
-    ("last_words", "says"),
+    ("last_words", "message"),
     [
         ("Error: WGPU error: Failed to create surface for any enabled backend: {}", "mesa-vulkan-drivers"),
         (
@@ -152,9 +152,9 @@ def test_a_moment_that_cannot_be_is_one_line(
         ("Error: something else", "failed (exit code 1)"),
     ],
 )
-def test_a_viewer_that_cannot_draw_says_what_helps(
+def test_a_viewer_that_cannot_draw_reports_what_helps(
     last_words: str,
-    says: str,
+    message: str,
     log: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -167,8 +167,8 @@ def test_a_viewer_that_cannot_draw_says_what_helps(
     monkeypatch.setattr("viz.viewer_process.viewer_program", lambda: stand_in)
     monkeypatch.setenv("DISPLAY", ":77")
     assert call(main, log) == 1
-    note, *lines, told = capfd.readouterr().err.splitlines()
+    note, *lines, printed = capfd.readouterr().err.splitlines()
     assert note == "a note"
-    assert lines == ([] if "exit code" not in says else [last_words])
-    assert told.startswith("bc-play: the Rerun viewer ")
-    assert says in told
+    assert lines == ([] if "exit code" not in message else [last_words])
+    assert printed.startswith("bc-play: the Rerun viewer ")
+    assert message in printed

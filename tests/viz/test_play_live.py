@@ -89,11 +89,11 @@ def test_a_viewer_that_runs_gets_all_of_the_log(
         assert call(main, log, "--connect", f"127.0.0.1:{ports.data}") == 0
         client.enter_context(received(ports, tmp_path / "got.rrd"))
     assert holds_all(tmp_path / "got.rrd")
-    said = capsys.readouterr()
-    version, step = said.err.splitlines()
+    printed = capsys.readouterr()
+    version, step = printed.err.splitlines()
     assert "its version is unknown" in version  # what serves browsers does not
     assert step.endswith(f"bc-log info {log}`")
-    assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
+    assert printed.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
 
 
 def test_of_a_large_log_a_viewer_gets_some_rows_pictures_and_all_curves(
@@ -112,7 +112,7 @@ def test_of_a_large_log_a_viewer_gets_some_rows_pictures_and_all_curves(
     assert "one picture of 8" in capsys.readouterr().err
 
 
-def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
+def test_what_a_running_viewer_does_not_get_of_a_damaged_log_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = write_log(tmp_path / "a.mcap", [row / 100 for row in range(ROWS)], picture)
@@ -121,9 +121,9 @@ def test_what_a_viewer_that_runs_does_not_get_of_a_damaged_log_is_told(
     log.write_bytes(damaged)
     with running_viewer() as ports:
         assert call(main, log, "--connect", ports.data) == 3
-    said = capsys.readouterr()
-    assert said.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
-    assert said.err.splitlines()[-2].startswith("bc-play: skipped pictures in damaged chunks of ")
+    printed = capsys.readouterr()
+    assert printed.out == f"a.mcap: sent to 127.0.0.1:{ports.data}\n"
+    assert printed.err.splitlines()[-2].startswith("bc-play: skipped pictures in damaged chunks of ")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no Ctrl-C for one thread alone")
@@ -168,25 +168,25 @@ def answering(answer: bytes) -> Iterator[int]:
 def test_what_is_no_viewer_is_one_line(
     log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def said(port: object, code: int = 1) -> str:
+    def printed(port: object, code: int = 1) -> str:
         assert call(main, log, "--connect", port) == code
         (line,) = capsys.readouterr().err.splitlines()
         return line
 
     (nobody,) = free_ports(1)
-    assert f"127.0.0.1:{nobody}: no viewer listens" in said(nobody)
+    assert f"127.0.0.1:{nobody}: no viewer listens" in printed(nobody)
     with answering(b"HTTP/1.0 400 Bad request\r\n\r\n") as port:
-        assert "is not a Rerun viewer" in said(port)
+        assert "is not a Rerun viewer" in printed(port)
     with answering(b"") as port:
-        assert "is not a Rerun viewer" in said(port)
+        assert "is not a Rerun viewer" in printed(port)
     with socket.create_server(("127.0.0.1", 0)) as silent, monkeypatch.context() as patched:  # a frozen one
         patched.setattr("viz.viewer_connection._PATIENCE_S", 0.2)
-        assert "no answer" in said(silent.getsockname()[1])
-    assert "expected HOST:PORT, or PORT on this machine" in said("somewhere", code=2)
-    assert "no viewer listens" in said("99999")
+        assert "no answer" in printed(silent.getsockname()[1])
+    assert "expected HOST:PORT, or PORT on this machine" in printed("somewhere", code=2)
+    assert "no viewer listens" in printed("99999")
 
 
-def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
+def test_a_viewer_of_another_version_is_refused_and_the_needed_one_is_named(
     log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
@@ -203,40 +203,40 @@ def test_a_viewer_of_another_version_is_refused_and_told_which_is_needed(
 
 def test_what_is_no_place_for_a_viewer_is_refused_before_anything_begins(tmp_path: Path) -> None:
     (tmp_path / "x.rrd").write_bytes(b"precious")
-    for where, says in (
+    for where, message in (
         ("windwo", "^--viewer windwo: expected window, web, a FILE"),
         ("", "expected window, web, a FILE"),
         ("--web", "expected window, web, a FILE"),
         (str(tmp_path / "x.rrd"), "exists already"),
     ):
-        with pytest.raises(UserError, match=says), preview(tmp_path / "a.mcap", where):
+        with pytest.raises(UserError, match=message), preview(tmp_path / "a.mcap", where):
             raise AssertionError("it has begun")
     assert (tmp_path / "x.rrd").read_bytes() == b"precious"
 
 
 def line_from(capfd: pytest.CaptureFixture[str]) -> str:
     """What other processes have said on stderr, as soon as that is a line."""
-    said: list[str] = []
+    printed: list[str] = []
 
     def has_said() -> bool:
-        said.append(capfd.readouterr().err)
-        return said[-1].endswith("\n")
+        printed.append(capfd.readouterr().err)
+        return printed[-1].endswith("\n")
 
     wait_until(has_said)
-    return "".join(said)
+    return "".join(printed)
 
 
-def test_a_viewer_that_cannot_start_says_why_and_disturbs_nothing(
+def test_a_viewer_that_cannot_start_reports_why_and_disturbs_nothing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (nobody,) = free_ports(1)
     with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer:
         with preview(writer.part, f"127.0.0.1:{nobody}"):
             writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-            said = line_from(capfd)
-            assert said.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens")
+            printed = line_from(capfd)
+            assert printed.startswith(f"viewer: 127.0.0.1:{nobody}: no viewer listens")
             again = f"bc-play {tmp_path / 'a.mcap'} --follow"
-            assert said.endswith(
+            assert printed.endswith(
                 f"; everything else continues; `{again}` opens another viewer, `{again} --web` opens it in a"
                 " browser\n"
             )
@@ -252,11 +252,11 @@ def test_a_window_that_cannot_open_names_a_command_and_only_its_own_flags(
     monkeypatch.setenv("DISPLAY", ":77")
     with LogWriter(tmp_path / "a.mcap", {}, live=True) as writer, preview(writer.part):
         writer.vehicle(START_NS, 0, VehicleState(steering=0.5))
-        said = line_from(capfd)
+        printed = line_from(capfd)
     again = f"bc-play {tmp_path / 'a.mcap'} --follow"
-    assert said.startswith("viewer: the Rerun viewer ")
-    assert "give --web" not in said
-    assert said.endswith(
+    assert printed.startswith("viewer: the Rerun viewer ")
+    assert "give --web" not in printed
+    assert printed.endswith(
         f"; everything else continues; `{again}` opens another viewer, `{again} --web` opens it in a browser\n"
     )
 
@@ -275,9 +275,9 @@ def test_a_viewer_that_runs_gets_the_end_of_the_log_before_it_is_left(
             writer.close()
         client.enter_context(received(ports, tmp_path / "got.rrd"))
     assert holds_all(tmp_path / "got.rrd")
-    said = capfd.readouterr().err
-    assert "a.mcap: sent to" in said or "viewer: a.mcap is finished, all of it is shown" in said
-    assert "stopped" not in said
+    printed = capfd.readouterr().err
+    assert "a.mcap: sent to" in printed or "viewer: a.mcap is finished, all of it is shown" in printed
+    assert "stopped" not in printed
 
 
 def test_a_file_has_all_that_was_written_before_it_is_left(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def damage(log: Path, chunk: StoredChunk, how: str) -> list[str]:
         ("all of it", 3),
     ],
 )
-def test_a_damaged_chunk_of_pictures_is_left_out_and_told(
+def test_a_damaged_chunk_of_pictures_is_left_out_and_reported(
     tmp_path: Path, how: str, number: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "1000")
@@ -183,13 +183,13 @@ def test_a_damaged_chunk_of_pictures_is_left_out_and_told(
     rrd.unlink()
     capsys.readouterr()
     assert call(main, log, "--save", rrd) == 3
-    said = capsys.readouterr()
-    line, step = said.err.splitlines()
+    printed = capsys.readouterr()
+    line, step = printed.err.splitlines()
     assert step.endswith(f"rerun {rrd}`")
     assert line.startswith(f"bc-play: skipped pictures in damaged chunks of {log} ")
     assert f"`bc-log recover {log}`" in line
     assert f": {len(lost)} ({lost[0]}, " in line
-    assert "written" in said.out
+    assert "written" in printed.out
     entities, written = contents(rrd), rrd.read_bytes()
     for topic in CAMERAS:
         kept = [picture(topic, row) for row in range(ROWS) if f"{topic} row {row}" not in lost]

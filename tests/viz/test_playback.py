@@ -122,7 +122,7 @@ def unfinished(path: Path, *, messages_kept: float) -> Path:
     return path
 
 
-def test_an_unfinished_log_shows_what_is_whole_in_it_and_says_so(session: Path, tmp_path: Path) -> None:
+def test_an_unfinished_log_shows_what_is_whole_in_it_and_reports_so(session: Path, tmp_path: Path) -> None:
     log = unfinished(tmp_path / "killed.mcap.ab12cd.part", messages_kept=0.8)
     done = run("bc-play", log, "--save", tmp_path / "x.rrd")
     assert done.returncode == 3
@@ -151,9 +151,9 @@ def test_bc_play_refuses_an_empty_log_before_a_viewer_opens(
     assert call(main, "empty.mcap", *flags) == 1
     (tmp_path / "other.mcap").write_bytes(next(data for name, _, data in variants() if name == "NoData"))
     assert call(main, "other.mcap", *flags) == 1
-    said = capsys.readouterr().err
-    assert "empty.mcap: an empty log" in said
-    assert "other.mcap: an empty log" in said
+    printed = capsys.readouterr().err
+    assert "empty.mcap: an empty log" in printed
+    assert "other.mcap: an empty log" in printed
 
 
 def test_a_log_shows_what_it_has(tmp_path: Path) -> None:
@@ -251,7 +251,7 @@ def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "message"),
     [
         (("--connect", "9911", "a b.mcap"), "bc-play 'a b.mcap' --connect 9911"),
         (("--connect", "a b.mcap"), "bc-play 'a b.mcap' --connect"),
@@ -259,9 +259,9 @@ def test_a_port_that_is_taken_is_one_line(drive: Path) -> None:
         (("--connect", "9911", "nowhere.mcap"), "bc-play LOG --connect HOST:PORT"),
     ],
 )
-def test_a_log_behind_connect_is_told_where_it_belongs(
+def test_a_log_behind_connect_is_reported_where_it_belongs(
     words: tuple[str, ...],
-    says: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -269,7 +269,7 @@ def test_a_log_behind_connect_is_told_where_it_belongs(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a b.mcap").touch()
     assert call(main, *words) == 2
-    assert capsys.readouterr().err == f"bc-play: --connect takes one address; put it after the logs: {says}\n"
+    assert capsys.readouterr().err == f"bc-play: --connect takes one address; put it after the logs: {message}\n"
 
 
 def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def _worked_in(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def said(project: Path) -> dict[str, list[float]]:
+def printed(project: Path) -> dict[str, list[float]]:
     """What each network says of each picture, asked as when it drives."""
     result = {}
     for name in ("first", "second"):
@@ -71,24 +71,26 @@ def values(rrd: Path, entity: str) -> list[float]:
     return [value[0] for value in contents(rrd)[entity]["Scalars:scalars"]]
 
 
-def test_each_run_has_a_curve_beside_what_was_recorded(shown: Path, said: dict[str, list[float]]) -> None:
+def test_each_run_has_a_curve_beside_what_was_recorded(shown: Path, printed: dict[str, list[float]]) -> None:
     entities = contents(shown)
     assert values(shown, "/steering/recorded") == pytest.approx(STEERING)
     for name in ("first", "second"):
         entity = f"/steering/predicted_by/{name}"
-        assert values(shown, entity) == pytest.approx(said[name], abs=1e-4)
+        assert values(shown, entity) == pytest.approx(printed[name], abs=1e-4)
         assert entities[entity]["message_log_time"] == [START_NS + row * STEP_NS for row in range(ROWS)]
         assert entities[entity]["SeriesLines:names"] == [[name]]
-    assert said["first"] != pytest.approx(said["second"], abs=0.01)
+    assert printed["first"] != pytest.approx(printed["second"], abs=0.01)
 
 
-def test_the_errors_are_in_degrees_against_what_was_recorded(shown: Path, said: dict[str, list[float]]) -> None:
-    expected = [25 * (predicted - recorded) for predicted, recorded in zip(said["second"], STEERING, strict=True)]
+def test_the_errors_are_in_degrees_against_what_was_recorded(shown: Path, printed: dict[str, list[float]]) -> None:
+    expected = [
+        25 * (predicted - recorded) for predicted, recorded in zip(printed["second"], STEERING, strict=True)
+    ]
     assert values(shown, "/error_deg/second") == pytest.approx(expected, abs=0.01)
 
 
-def test_the_worst_moments_are_events_apart_in_time(shown: Path, said: dict[str, list[float]]) -> None:
-    error = 25 * np.abs(np.array(said["first"]) - np.array(STEERING))
+def test_the_worst_moments_are_events_apart_in_time(shown: Path, printed: dict[str, list[float]]) -> None:
+    error = 25 * np.abs(np.array(printed["first"]) - np.array(STEERING))
     worst: list[int] = []
     for row in np.argsort(-error).tolist():
         if all(abs(row - other) * STEP_NS >= 10**9 for other in worst) and len(worst) < 10:
@@ -108,9 +110,9 @@ def test_the_layout_shows_errors_and_attention_if_asked_for(shown: Path) -> None
     assert not [entity for entity in contents(shown) if entity.startswith("/attention")]
 
 
-def test_how_far_each_run_is_off_is_printed(project: Path, shown: Path, said: dict[str, list[float]]) -> None:
+def test_how_far_each_run_is_off_is_printed(project: Path, shown: Path, printed: dict[str, list[float]]) -> None:
     lines = (project / "said.txt").read_text().splitlines()
-    error = 25 * (np.array(said["first"]) - np.array(STEERING))
+    error = 25 * (np.array(printed["first"]) - np.array(STEERING))
     rmse, mean = np.sqrt(np.mean(error**2)), 25 * np.std(STEERING)
     expected = (
         f"first: {ROWS} frames, RMSE {rmse:.2f} degrees from the recorded steering (always the mean: {mean:.2f})"
@@ -119,7 +121,7 @@ def test_how_far_each_run_is_off_is_printed(project: Path, shown: Path, said: di
     assert lines[1].startswith(f"second: {ROWS} frames")
 
 
-def test_the_network_that_drove_says_again_what_it_said_then(project: Path, tmp_path: Path) -> None:
+def test_the_network_that_drove_reports_again_what_it_said_then(project: Path, tmp_path: Path) -> None:
     log = tmp_path / "drive.mcap"
     flags = ("--simulator", "lake", "--laps", 0.003, "--precision", "float32", "--log", log)
     assert call(drive_main, "first", *flags) == 0
@@ -134,12 +136,12 @@ def test_the_network_that_drove_says_again_what_it_said_then(project: Path, tmp_
     np.testing.assert_allclose(predictions.recorded, states, atol=1e-9)
 
 
-def test_their_steering_is_drawn_over_the_frame(shown: Path, said: dict[str, list[float]]) -> None:
+def test_their_steering_is_drawn_over_the_frame(shown: Path, printed: dict[str, list[float]]) -> None:
     """As an arc whose end is to the side by what is steered."""
-    (first, second) = (contents(shown)[f"/camera/center/steering/predicted_by/{name}"] for name in said)
+    (first, second) = (contents(shown)[f"/camera/center/steering/predicted_by/{name}"] for name in printed)
     for arcs, name in ((first, "first"), (second, "second")):
         ends = [strips[0][-1][0] for strips in arcs["LineStrips2D:strips"]]
-        assert ends == pytest.approx([160 + 144 * np.clip(value, -1, 1) for value in said[name]], abs=0.1)
+        assert ends == pytest.approx([160 + 144 * np.clip(value, -1, 1) for value in printed[name]], abs=0.1)
     assert first["LineStrips2D:colors"] != second["LineStrips2D:colors"]
 
 
@@ -157,7 +159,7 @@ def test_where_an_expert_took_over_his_command_counts_as_in_an_index(project: Pa
 
 
 def test_they_are_kept_as_a_log_that_others_read_and_bc_play_shows(
-    tmp_path: Path, said: dict[str, list[float]], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, printed: dict[str, list[float]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = tmp_path / "kept.mcap"
     assert call(main, "session.mcap", "--run", "first", "--run", "second", "--write", kept) == 0
@@ -170,21 +172,23 @@ def test_they_are_kept_as_a_log_that_others_read_and_bc_play_shows(
             START_NS + row * STEP_NS for row in range(ROWS)
         ]
         assert [message.sequence for message, _ in predictions] == list(range(ROWS))
-        assert [prediction.steering for _, prediction in predictions] == pytest.approx(said[name], abs=1e-4)
+        assert [prediction.steering for _, prediction in predictions] == pytest.approx(printed[name], abs=1e-4)
         assert [prediction.recorded_steering for _, prediction in predictions] == STEERING
     assert len(messages["/events"]) == len({event.message for _, event in messages["/events"]}) > 10
     assert check(kept).findings == []
 
     assert call(main, kept, "--save", tmp_path / "kept.rrd") == 0
     assert values(tmp_path / "kept.rrd", "/steering/predicted_by/second") == pytest.approx(
-        said["second"], abs=1e-4
+        printed["second"], abs=1e-4
     )
-    expected = [25 * (predicted - recorded) for predicted, recorded in zip(said["first"], STEERING, strict=True)]
+    expected = [
+        25 * (predicted - recorded) for predicted, recorded in zip(printed["first"], STEERING, strict=True)
+    ]
     assert values(tmp_path / "kept.rrd", "/error_deg/first") == pytest.approx(expected, abs=0.01)
     assert "error in degrees: predicted - recorded" in view_names(tmp_path / "kept.rrd")
 
 
-def test_it_says_which_log_and_which_weights(project: Path, tmp_path: Path) -> None:
+def test_it_reports_which_log_and_which_weights(project: Path, tmp_path: Path) -> None:
     assert call(main, "session.mcap", "--run", "first", "--write", tmp_path / "kept.mcap") == 0
     with Log(tmp_path / "kept.mcap") as kept, Log("session.mcap") as session:
         assert kept.metadata["source"] == "prediction"
@@ -244,7 +248,7 @@ def test_a_log_is_never_written_over(
 
 
 def test_a_broken_picture_is_named_and_the_others_are_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], said: dict[str, list[float]]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], printed: dict[str, list[float]]
 ) -> None:
     def broken(camera: Camera, row: int) -> bytes:
         return b"no picture" if row == BROKEN else road_jpeg(row)
@@ -258,12 +262,12 @@ def test_a_broken_picture_is_named_and_the_others_are_shown(
     rows = [row for row in range(ROWS) if row != BROKEN]
     assert [message.sequence for message, _ in messages] == rows
     assert [prediction.steering for _, prediction in messages] == pytest.approx(
-        [said["first"][row] for row in rows], abs=1e-4
+        [printed["first"][row] for row in rows], abs=1e-4
     )
 
 
 def test_an_unfinished_log_is_looked_at_as_far_as_it_goes(
-    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], said: dict[str, list[float]]
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], printed: dict[str, list[float]]
 ) -> None:
     whole = (project / "session.mcap").read_bytes()
     log = tmp_path / "killed.mcap.ab12cd.part"
@@ -273,7 +277,7 @@ def test_an_unfinished_log_is_looked_at_as_far_as_it_goes(
     assert f"{log}: unfinished" in line
     predicted = values(tmp_path / "x.rrd", "/steering/predicted_by/first")
     assert 20 < len(predicted) < ROWS
-    assert predicted == pytest.approx(said["first"][: len(predicted)], abs=1e-4)
+    assert predicted == pytest.approx(printed["first"][: len(predicted)], abs=1e-4)
     assert {path.name for path in tmp_path.iterdir()} == {log.name, "x.rrd"}
 
 

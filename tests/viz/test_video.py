@@ -249,17 +249,17 @@ def test_without_network_or_states_no_pointer_and_a_straight_wheel(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"), [("98.400", 98.4), ("nan", None), ("many", None), ("-3", None), ("", None)]
+    ("reported", "expected"), [("98.400", 98.4), ("nan", None), ("many", None), ("-3", None), ("", None)]
 )
-def test_who_drives_and_how_autonomously_is_what_the_log_says(
-    tmp_path: Path, told: str, expected: float | None
+def test_who_drives_and_how_autonomously_is_what_the_log_reports(
+    tmp_path: Path, reported: str, expected: float | None
 ) -> None:
     drivers = (PilotCommand.PILOT, PilotCommand.EXPERT, PilotCommand.HUMAN, PilotCommand.UNKNOWN)
     with LogWriter(tmp_path / "x.mcap", {"source": "drive", "driver": "pilot"}) as log:
         for row, driver in enumerate(drivers):
             log.picture("center", START_NS + row * 10**8, row, grey(90))
             log.command(START_NS + row * 10**8, row, PilotCommand(driver=driver))
-        log.add_metadata("bc.drive", {"autonomy_percent": told})
+        log.add_metadata("bc.drive", {"autonomy_percent": reported})
     with Log(tmp_path / "x.mcap") as opened:
         readings = Readings(opened)
         read = [readings.at(START_NS + row * 10**8) for row in range(len(drivers))]

@@ -76,7 +76,7 @@ def test_the_intervals_stand_beside_one_another(tmp_path: Path) -> None:
         assert bench.get("/runs.compare?a=a&b=none").status == 404
 
 
-def test_what_is_not_told_apart_says_how_much_more_data_would_settle_it(tmp_path: Path) -> None:
+def test_a_tie_says_how_much_more_data_would_settle_it(tmp_path: Path) -> None:
     """The interval shrinks with the root of the data: here, it has to be half as wide."""
     for name in "ab":
         untrained_run(tmp_path / "runs" / name)

@@ -49,6 +49,6 @@ def test_the_map_shows_where_the_steering_was_not_the_experts(tmp_path: Path) ->
         ]
 
 
-def test_without_drives_it_says_how_to_begin(tmp_path: Path) -> None:
+def test_without_drives_it_reports_how_to_begin(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         assert "No test drives yet" in bench.get("/drives").text

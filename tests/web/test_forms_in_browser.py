@@ -88,14 +88,14 @@ def test_a_form_with_values_shows_the_whole_command(browser: Browser, tmp_path: 
         assert page.is_visible("#form-train [name=dropout]")
 
 
-def test_the_name_of_a_drive_says_which_characters_it_may_have(browser: Browser, tmp_path: Path) -> None:
+def test_the_name_of_a_drive_reports_which_characters_it_may_have(browser: Browser, tmp_path: Path) -> None:
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/wheel") as page:
         page.fill("[name=name]", "Fahrt über Land")
         assert page.evaluate("document.querySelector('[name=name]').validity.patternMismatch")
         assert "letters from a to z, digits" in (page.get_attribute("[name=name]", "title") or "")
 
 
-def test_the_page_of_a_run_that_is_deleted_says_so(browser: Browser, tmp_path: Path) -> None:
+def test_the_page_of_a_run_that_is_deleted_reports_so(browser: Browser, tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs", "mine")
     with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/runs/mine") as page:
         run.rename(tmp_path / "elsewhere")

@@ -85,17 +85,17 @@ def test_samples_are_shown_as_training_sees_them(bench: Served) -> None:
     """Beside the crops that they were made of; as in the first epoch of a training with default options."""
     page = bench.get("/index.altered").text
     pictures_shown = re.findall(r'<img src="(/index.altered/(\d+)/([01]).jpg[^"]*)"', page)
-    told = re.findall(
+    reported = re.findall(
         r"<span>([^<]*)</span>\s*<span class=\"dim\">[^;]*, (-?[0-9.]+)° learnt; (.*) row (\d+), (\w+)</span>",
         page,
     )
-    assert len(pictures_shown) == 2 * len(told) > 4
+    assert len(pictures_shown) == 2 * len(reported) > 4
     assert bench.get("/index.altered?others=1").text != page
     index, alterations = bench.folder / "index", TrainConfig().epoch_alterations
     with load(index, batch=1, alter_each_epoch=alterations) as loader, Samples(index) as samples:
         assert loader.alterations is not None
         table = samples.of_split("train")
-        for number, (done, label_deg, session, row, camera) in enumerate(told):
+        for number, (done, label_deg, session, row, camera) in enumerate(reported):
             as_driven, as_learnt = (
                 decode(bench.get(html.unescape(pictures_shown[2 * number + at][0])).body) for at in (0, 1)
             )
@@ -184,7 +184,7 @@ def test_a_training_takes_in_what_the_index_lacks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "reported"),
     [
         ({"format": 99}, "of format 99, not 5"),
         ({"format": "<b>x"}, "of format <b>x"),
@@ -195,8 +195,8 @@ def test_a_training_takes_in_what_the_index_lacks(tmp_path: Path) -> None:
         ({"settings": None}, "invalid metadata"),
     ],
 )
-def test_an_index_of_another_version_or_hand_is_told(
-    bench: Served, tmp_path: Path, changed: dict[str, object], told: str
+def test_an_index_of_another_version_or_hand_is_reported(
+    bench: Served, tmp_path: Path, changed: dict[str, object], reported: str
 ) -> None:
     whole = pq.read_table(bench.folder / "index" / "samples.parquet")
     stored = json.loads(whole.schema.metadata[b"bc.index"])
@@ -205,12 +205,12 @@ def test_an_index_of_another_version_or_hand_is_told(
     pq.write_table(whole.replace_schema_metadata(metadata), tmp_path / "index" / "samples.parquet")
     with served(tmp_path) as other:
         answer = other.get("/index")
-        assert (answer.status, told in plain(answer.text)) == (200, True)
+        assert (answer.status, reported in plain(answer.text)) == (200, True)
         assert "<b>x" not in answer.text
         assert other.get("/index.bins").status == 422
 
 
-def test_without_an_index_or_with_a_damaged_one_it_says_so(tmp_path: Path) -> None:
+def test_without_an_index_or_with_a_damaged_one_it_reports_so(tmp_path: Path) -> None:
     with served(tmp_path) as bench:
         page = bench.get("/index").text
         assert "Nothing prepared yet" in page

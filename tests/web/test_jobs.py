@@ -71,8 +71,8 @@ def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
 
 
 def test_an_import_is_the_command_with_its_flags(bench: Served) -> None:
-    said = {"columns": "image=frame steering=angle", "steering_offset": "-0.53", "time_unit": "us"}
-    asked = {"form": "import", "name": "mine", "source": "/my drives"} | said
+    printed = {"columns": "image=frame steering=angle", "steering_offset": "-0.53", "time_unit": "us"}
+    asked = {"form": "import", "name": "mine", "source": "/my drives"} | printed
     flags = (
         f"--columns image=frame steering=angle --steering-offset=-0.53 --time-unit=us --sessions={bench.folder}"
     )
@@ -121,7 +121,7 @@ def test_a_training_leads_to_its_run_whatever_becomes_of_it(bench: Served) -> No
     assert f'value="{run}"' in bench.get(html.unescape(go_on)).text
 
 
-def test_the_page_of_a_run_that_never_began_says_why(bench: Served) -> None:
+def test_the_page_of_a_run_that_never_began_reports_why(bench: Served) -> None:
     job = start(bench, form="train", name="mine", epochs="1")  # without sessions
     assert "Train mine: has not begun yet; reload this page in a moment" in text(bench, "/runs/mine")
     wait_until(lambda: "running" not in text(bench, f"{job}"))
@@ -175,16 +175,16 @@ def test_without_any_folder_the_demo_fills_them(bench: Served) -> None:
     assert bench.command("/jobs.command?form=demo") == "bc-demo"  # it fills no project that has something
 
 
-def test_the_command_says_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_reports_which_jobs_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     with Process(command("bc-web", "--port", *free_ports(1)), cwd=tmp_path) as process:
         bench = served_by(process, tmp_path)
         job = start(bench, form="record", name="long", laps="200").rpartition("/")[2]
         assert process.end() == 0
-        said = "\n".join(process.stderr)
-        assert "1 job goes on: bc-record long --laps=200\n" in said
-        assert f"start `bc-web` in {tmp_path} and" in said
+        printed = "\n".join(process.stderr)
+        assert "1 job goes on: bc-record long --laps=200\n" in printed
+        assert f"start `bc-web` in {tmp_path} and" in printed
     jobs = Jobs(tmp_path / "cache" / "web")
     jobs.stop(job)
     wait_until(lambda: not jobs.get(job).is_running)

@@ -97,7 +97,7 @@ def test_the_commands_that_are_shown_do_it(bench: Served) -> None:
         assert "exists already" in command(bench, job, *asked, log=log), line
 
 
-def test_what_cannot_be_done_is_told_and_not_started(bench: Served) -> None:
+def test_what_cannot_be_done_is_reported_and_not_started(bench: Served) -> None:
     for job, values, why in (
         ("trim", {"first": "3", "last": "2"}, "the first row, then the last one"),
         ("trim", {"first": "x", "last": "2"}, "expected the number of a row"),

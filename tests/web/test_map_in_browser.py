@@ -285,7 +285,7 @@ def test_while_a_map_is_made_its_tools_wait(browser: Browser, bench: Served, hol
         page.click("#stop")
 
 
-def test_what_cannot_be_shown_says_why(bench: Served) -> None:
+def test_what_cannot_be_shown_reports_why(bench: Served) -> None:
     def asked(query: str, method: str = "POST") -> Any:
         return bench.ask(method, f"/map.state?{query}")
 

@@ -90,8 +90,8 @@ def test_the_page_shows_the_prediction_and_its_worst_moments_first(
         open_session(page)
         page.select_option("#run", "constant")
         page.wait_for_selector("#session[data-run=constant]")
-        told = page.inner_text("#predicted")
-        assert f"{ROWS} frames, RMSE {rmse_deg:.2f}°; always predicting the mean: {mean_rmse_deg:.2f}°" in told
+        reported = page.inner_text("#predicted")
+        assert f"{ROWS} frames, RMSE {rmse_deg:.2f}°; always predicting the mean: {mean_rmse_deg:.2f}°" in reported
         first = page.locator("#worst li").first.inner_text()
         assert f"{abs(errors_deg[worst]):.1f}° too far right" in first
         assert f"row {worst}," in first
@@ -134,7 +134,7 @@ def test_a_prediction_is_stopped_also_one_that_waits(bench: Served, hold: Callab
         constant_run(bench.folder / "runs" / name, 0.1 if name == "first" else 0.2)
     shown = bench.get("/sessions/toy/state").json["fingerprint"]
 
-    def told(run: str) -> Any:
+    def reported(run: str) -> Any:
         return bench.get(f"/sessions/toy/predictions/{run}?log={shown}").json
 
     def ask(run: str) -> None:
@@ -143,14 +143,14 @@ def test_a_prediction_is_stopped_also_one_that_waits(bench: Served, hold: Callab
     ask("first")
     ask("second")
     wait_until(lambda: predicting() == ["first"])
-    assert told("second")["is_begun"] is False
+    assert reported("second")["is_begun"] is False
     for run in ("second", "first"):
         ask(f"{run}/stop")
-        assert "stopped; choose the run again" in told(run)["problem"]
+        assert "stopped; choose the run again" in reported(run)["problem"]
     wait_until(lambda: predicting() == [])
-    assert told("first")["about"] is None
+    assert reported("first")["about"] is None
     ask("second")  # begins anew
-    assert told("second")["problem"] == ""
+    assert reported("second")["problem"] == ""
     ask("second/stop")
     ask("constant/stop")  # nothing is under way
 
@@ -178,7 +178,7 @@ def test_where_a_network_looks_lies_over_what_it_sees(bench: Served) -> None:
     assert bench.get("/sessions/toy/attention/none/4").status == 404
 
 
-def test_what_cannot_be_predicted_says_why(bench: Served) -> None:
+def test_what_cannot_be_predicted_reports_why(bench: Served) -> None:
     runs = bench.folder / "runs"
     constant_run(runs / "later")
     changed_config(runs / "later", format=99)

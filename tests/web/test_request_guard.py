@@ -65,10 +65,10 @@ def test_a_page_from_elsewhere_cannot_ask(bench: Served, origin: str, method: st
     assert "only the workbench's own pages" in answer.json["error"]
 
 
-def test_what_browsers_tell_without_an_origin_is_heard_too(bench: Served) -> None:
+def test_what_browsers_show_without_an_origin_is_heard_too(bench: Served) -> None:
     """A picture or a frame in another site's page has no Origin."""
-    said = [FROM_OUR_PAGE, TYPED, A_LINK, FROM_ANOTHER, A_FRAME, {**A_LINK, "Sec_Fetch_Site": "same-site"}]
-    assert [bench.get("/sessions", **headers).status for headers in said] == [200, 200, 403, 403, 403, 403]
+    printed = [FROM_OUR_PAGE, TYPED, A_LINK, FROM_ANOTHER, A_FRAME, {**A_LINK, "Sec_Fetch_Site": "same-site"}]
+    assert [bench.get("/sessions", **headers).status for headers in printed] == [200, 200, 403, 403, 403, 403]
     own = bench.address
     for scheme in ("http", "https"):  # as it is opened through a proxy that encrypts
         origin = own.replace("http", scheme)
@@ -152,7 +152,7 @@ def test_the_printed_address_is_exchanged_for_a_cookie(bench: Served) -> None:
     assert nobody.get(f"//evil.example/?token={TOKEN}").headers["location"].startswith("/evil.example")
 
 
-def test_the_command_says_where_it_listens_and_ends_with_ctrl_c(tmp_path: Path) -> None:
+def test_the_command_reports_where_it_listens_and_ends_with_ctrl_c(tmp_path: Path) -> None:
     (port,) = free_ports(1)
     with Process(command("bc-web", "--port", port, "--host", "127.0.0.1"), cwd=tmp_path) as process:
         assert served_by(process, tmp_path).get("/sessions").status == 200

@@ -68,12 +68,12 @@ def test_what_serves_a_log_ends_with_its_page_and_two_are_open_at_most(tmp_path:
     logs[0].write_bytes(data[:2000] + bytes(500) + data[2500:])  # among its pictures
     with served(tmp_path) as bench, contextlib.ExitStack() as still_open:
         first = still_open.enter_context(opened(bench, "a"))
-        said = next(first) | next(first)  # in either order
-        frame = said["frame"]
+        printed = next(first) | next(first)  # in either order
+        frame = printed["frame"]
         assert "connect-src 'self';" in bench.get(frame).headers["content-security-policy"]
         assert bench.get(f"{frame}/log.rrd").body[:3] == b"RRF"
         assert "WebHandle" in bench.get("/rerun/files/re_viewer.js").text
-        assert "skipped pictures" in said["note"]
+        assert "skipped pictures" in printed["note"]
         still_open.enter_context(opened(bench, "b"))
         with opened(bench, "c"):
             assert "2 logs were opened in Rerun since" in next(first)["problem"]
@@ -109,9 +109,9 @@ def test_a_log_that_is_being_recorded_is_given_out_while_it_grows(tmp_path: Path
     with served(tmp_path) as bench:
         (name,) = (path.name for path in (tmp_path / "sessions").iterdir())
         with opened(bench, name.removesuffix(".mcap.part")) as lines:
-            said = next(lines)
-            assert said["is_growing"]
-            with bench.asked("GET", f"{said['frame']}/log.rrd") as answer:
+            printed = next(lines)
+            assert printed["is_growing"]
+            with bench.asked("GET", f"{printed['frame']}/log.rrd") as answer:
                 data = answer.read(4 << 17)
                 write_rows()
                 log.close()
@@ -175,7 +175,7 @@ def test_rerun_shows_the_moment_of_the_curves_inside_the_page(browser: Browser, 
         window_of(browser, 480, 700) as page,  # small: it draws in software
         heard(page, "request", lambda request: asked.add(urlsplit(request.url).netloc)),
         heard(page, "pageerror", lambda error: wrong.append(str(error))),
-        heard(page, "console", lambda said: wrong.append(said.text) if said.type == "error" else None),
+        heard(page, "console", lambda printed: wrong.append(printed.text) if printed.type == "error" else None),
     ):
         page.goto(with_token(f"http://127.0.0.1:{port}/sessions/colored#row=30"))
         page.wait_for_selector("#session[data-ready]")

@@ -65,7 +65,7 @@ def page(bench: Served, key: str) -> str:
     return plain(bench.get(f"/runs/{key}").text)
 
 
-def test_each_run_is_told_as_bc_runs_tells_it(bench: Served) -> None:
+def test_each_run_is_reported_as_bc_runs_tells_it(bench: Served) -> None:
     listed = rows(bench, "?sort=rmse")
     assert list(listed)[:2] == ["good", AWKWARD]  # the best first
     assert set(listed) == {"good", AWKWARD, "newer", "broken"}
@@ -125,7 +125,7 @@ def test_a_run_links_to_what_it_learnt_from_and_to_its_worst_frames(bench: Serve
     assert bench.get("/runs/..%2fruns%2fgood").status == 404
 
 
-def test_what_bc_eval_measured_is_told_by_session(tmp_path: Path) -> None:
+def test_what_bc_eval_measured_is_reported_by_session(tmp_path: Path) -> None:
     run = a_run(tmp_path / "runs", "r", 2.0)
     for session, rmse_deg in (("monday", 5.25), ("sunday", 3.5)):
         errors = {"rmse_deg": rmse_deg, "correlation": None}
@@ -196,13 +196,13 @@ def test_before_training_again_its_page_names_the_logs_that_differ(tmp_path: Pat
     config = json.loads((run / "config.json").read_text()) | {"index": "index-mine", "data": {"logs": logs}}
     (run / "config.json").write_text(json.dumps(config))
     with served(tmp_path) as bench:
-        said = "Train again does not use the same data: my drive"
+        printed = "Train again does not use the same data: my drive"
         wait_until(lambda: "Train again" in plain(bench.get("/runs/mine").text))
-        assert said not in plain(bench.get("/runs/mine").text)
+        assert printed not in plain(bench.get("/runs/mine").text)
         write_log(tmp_path / "other.mcap", [0.2] * 10).replace(log)
-        wait_until(lambda: f"{said} has changed." in plain(bench.get("/runs/mine").text))
+        wait_until(lambda: f"{printed} has changed." in plain(bench.get("/runs/mine").text))
         log.unlink()
-        wait_until(lambda: f"{said} is not in these folders." in plain(bench.get("/runs/mine").text))
+        wait_until(lambda: f"{printed} is not in these folders." in plain(bench.get("/runs/mine").text))
 
 
 def a_run_of_takeovers(project: Path, *drives: str, **training: Any) -> None:

@@ -128,7 +128,7 @@ def test_the_commands_that_are_shown_do_the_same(browser: Browser, bench: Served
         assert tags(bench) == after
 
 
-def test_all_that_is_sure_and_what_a_condition_says_are_excluded_at_once(browser: Browser, bench: Served) -> None:
+def test_all_that_is_sure_and_what_a_condition_finds_are_excluded_at_once(browser: Browser, bench: Served) -> None:
     with opened(browser, bench) as page:
         page.click("#exclude-odd")
         wait_until(lambda: tags(bench) == [("exclude", *CRASH)])  # the others a person has to look at

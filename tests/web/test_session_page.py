@@ -145,7 +145,7 @@ def test_pictures_are_given_byte_for_byte(bench: Served) -> None:
         assert (answer.status, bool(answer.json["error"])) == (status, True), path
 
 
-def test_odd_rows_and_pictures_are_told(tmp_path: Path) -> None:
+def test_odd_rows_and_pictures_are_reported(tmp_path: Path) -> None:
     """Frozen pictures, where the index or the page has looked at them."""
     import dataset.cli
 
@@ -197,7 +197,7 @@ def test_a_broken_file_of_tags_is_named_and_left_as_it_is(bench: Served, log: Pa
     assert tags.read_text() == '{"add": "exclude"}\n'
 
 
-def test_a_full_disk_is_told_and_leaves_the_tags_as_they_were(bench: Served, log: Path) -> None:
+def test_a_full_disk_is_reported_and_leaves_the_tags_as_they_were(bench: Served, log: Path) -> None:
     assert change(bench).status == 200
     before = lines(log)
     with files_of_at_most(log.with_name("a.tags.jsonl").stat().st_size + 10):

@@ -61,7 +61,7 @@ def rows(bench: Served, **query: str) -> dict[str, str]:
     return dict(zip(names, map(plain, items), strict=True))
 
 
-def test_each_session_is_told_as_the_commands_tell_it(bench: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_session_is_reported_as_the_commands_tell_it(bench: Served, capsys: pytest.CaptureFixture[str]) -> None:
     listed = rows(bench)
     shown = AWKWARD.replace("\n", "\\n")
     assert set(listed) == {"plain", "stuck", shown, "killed.mcap.0a1b2c.part", "nothing"}
@@ -177,10 +177,10 @@ def test_a_recording_is_one_from_its_first_moment(tmp_path: Path) -> None:
         write_log(tmp_path / "sessions" / "read_after_it.mcap", [0.1] * 3)
         with served(tmp_path) as bench:
             wait_until(lambda: "3 rows" in rows(bench)["read_after_it"])
-            said = rows(bench)[part.name]
-            assert "recording" in said
-            assert "damaged" not in said
-            assert "not an MCAP log" not in said
+            printed = rows(bench)[part.name]
+            assert "recording" in printed
+            assert "damaged" not in printed
+            assert "not an MCAP log" not in printed
             assert part.stat().st_size == 0
 
 

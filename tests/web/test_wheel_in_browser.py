@@ -406,7 +406,7 @@ def test_a_newcomer_drives_and_finds_the_session_and_what_to_do_next(browser: Br
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
-def test_a_full_disk_ends_the_drive_on_its_page_which_says_what_is_kept(browser: Browser, bench: Served) -> None:
+def test_a_full_disk_ends_the_drive_on_its_page_which_names_what_is_kept(browser: Browser, bench: Served) -> None:
     with files_of_at_most(1 << 20):
         words = command("bc-record", "me", "mine", "--sessions", bench.folder / "sessions")
         process = subprocess.Popen(words, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -123,7 +123,7 @@ def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:
     assert bench.get(f"/wheel/{wheel.key}").status == 404
 
 
-def test_a_drive_that_cannot_begin_says_why(bench: Served) -> None:
+def test_a_drive_that_cannot_begin_reports_why(bench: Served) -> None:
     write_log(bench.folder / "sessions" / "taken.mcap", [0.1])
     begun = bench.post("/wheel", name="taken")
     assert begun.status == 303
