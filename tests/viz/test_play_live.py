@@ -186,7 +186,7 @@ def test_what_is_no_viewer_is_one_line(
     assert "no viewer listens" in printed("99999")
 
 
-def test_a_viewer_of_another_version_is_refused_and_the_needed_one_is_named(
+def test_a_viewer_of_another_version_is_refused_with_the_needed_one(
     log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 ROWS = 400
 STUCK = (20, 90)  # the very same steering while driving: odd
-OFF_ROAD = (253, 399)  # straight on, where the lake's road bends
+OFF_ROAD = (240, 399)  # straight on, where the lake's road bends: first its outer wheels
 TAKEOVERS = {200: PilotCommand.EXPERT, 230: PilotCommand.HUMAN}
 """Rows at which somebody else begins to drive, for 20 rows."""
 

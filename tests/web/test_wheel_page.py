@@ -120,7 +120,8 @@ def test_a_drive_is_listed_while_it_runs(bench: Served) -> None:
         drive = bench.get(f"/wheel/{wheel.key}")
         assert 'data-after="/wheel/after/sessions/a"' in drive.text
     assert wheel.key not in bench.get("/wheel.rows").text
-    assert bench.get(f"/wheel/{wheel.key}").status == 404
+    ended = bench.get(f"/wheel/{wheel.key}")
+    assert (ended.status, ended.headers["location"]) == (303, "/wheel/after/sessions/a")
 
 
 def test_a_drive_that_cannot_begin_reports_why(bench: Served) -> None:
