@@ -252,7 +252,9 @@ def test_an_address_that_does_not_answer_is_reported_soon(tmp_path: Path, scheme
     assert done.returncode == 1
 
 
-def test_a_cluster_with_a_token_that_is_not_here_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_with_a_token_that_is_not_here_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("RAY_AUTH_MODE", "token")
     monkeypatch.setenv("HOME", str(tmp_path))
     drives(tmp_path / "sessions", sessions=1)

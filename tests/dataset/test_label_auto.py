@@ -246,7 +246,9 @@ def test_an_index_that_held_out_crashes_is_read_and_made_anew(tmp_path: Path) ->
 # What is said of it
 
 
-def test_the_command_reports_how_each_session_was_steered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reports_how_each_session_was_steered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "sessions"
     folder.mkdir()
     write_drive(folder / "keyboard.mcap", NO_PICTURES, keys)

@@ -104,7 +104,9 @@ class Passing(BaseHTTPRequestHandler):
         self._length = answer.getheader("Content-Length")  # also of what HEAD asks about
         return answer.status, answer.getheaders(), data
 
-    def _send(self, status: int, headers: list[tuple[str, str]], data: bytes, announced: int | None = None) -> bool:
+    def _send(
+        self, status: int, headers: list[tuple[str, str]], data: bytes, announced: int | None = None
+    ) -> bool:
         is_head = self.command == "HEAD"
         length = self._length if is_head and headers else len(data) if announced is None else announced
         self.send_response(status)

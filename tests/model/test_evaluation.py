@@ -368,7 +368,9 @@ def test_frames_for_training_can_be_measured_and_that_is_said(
     assert line == f"bc-eval: toy has learnt from {result['frames']} of these {result['frames']} frames"
 
 
-def test_frames_of_crashes_are_reported_apart(cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_frames_of_crashes_are_reported_apart(
+    cwd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Three seconds at a wall: the errors of all frames, and of all but these."""
     wall = range(25, 55)
     log = tmp_path / "crash.mcap"

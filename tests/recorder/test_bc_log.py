@@ -545,7 +545,9 @@ def test_a_long_setting_of_a_log_is_a_few_lines_and_whole_in_json(
     assert json.loads(capsys.readouterr().out)["session"]["car"] == car
 
 
-def test_what_is_no_log_is_reported_with_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_log_is_reported_with_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "junk.mcap").write_text("junk")
     assert call(main, "info", tmp_path / "junk.mcap") == 1
     assert "`bc-log ls`" in capsys.readouterr().err

@@ -113,7 +113,9 @@ def test_records_without_a_time_are_20_a_second_from_the_start(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("start_s", [None, math.nan, -1.0])
-def test_a_tub_without_a_start_begins_in_1970_and_its_log_reports_so(tmp_path: Path, start_s: float | None) -> None:
+def test_a_tub_without_a_start_begins_in_1970_and_its_log_reports_so(
+    tmp_path: Path, start_s: float | None
+) -> None:
     done = imported(write_tub_1(tmp_path / "tub", {0: record_1(0)}, start_s=start_s))
     assert [time_ns for time_ns, *_ in frames_of(done.path)] == [100_000_000]
     assert metadata_of(done.path)["start"].startswith("1970")

@@ -61,7 +61,9 @@ def rows(bench: Served, **query: str) -> dict[str, str]:
     return dict(zip(names, map(plain, items), strict=True))
 
 
-def test_each_session_is_reported_as_the_commands_tell_it(bench: Served, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_session_is_reported_as_the_commands_tell_it(
+    bench: Served, capsys: pytest.CaptureFixture[str]
+) -> None:
     listed = rows(bench)
     shown = AWKWARD.replace("\n", "\\n")
     assert set(listed) == {"plain", "stuck", shown, "killed.mcap.0a1b2c.part", "nothing"}

@@ -34,6 +34,8 @@ def test_the_page_shows_the_command(browser: Browser, tmp_path: Path) -> None:
 def test_every_flag_of_a_form_is_one_of_its_command(form: JobForm) -> None:
     page = (Path(__file__).parents[2] / "docs" / "commands.md").read_text()  # a test holds it to `--help-all`
     blocks = re.findall(rf"<!-- generated: {form.command[0]} ?(\w*) -->(.*?)<!-- end", page, re.DOTALL)
-    documented = {verb for verb, _ in blocks} | {flag for _, text in blocks for flag in re.findall(r"--[a-z-]+", text)}
+    documented = {verb for verb, _ in blocks} | {
+        flag for _, text in blocks for flag in re.findall(r"--[a-z-]+", text)
+    }
     flags = {field.as_flag for field in form.fields} | {f"--{name}" for name in form.folders}
     assert flags - {""} <= documented
