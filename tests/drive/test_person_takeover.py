@@ -300,9 +300,7 @@ def test_the_page_ends_the_drive(supervised: Supervised) -> None:
     assert supervised.server.session.is_end_asked
 
 
-def test_the_page_shows_why_the_log_cannot_be_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_shows_why_the_log_cannot_be_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
     pilot, log = load_pilot(untrained_run(tmp_path / "first")), tmp_path / "run.mcap"
     with contextlib.ExitStack() as stack:
