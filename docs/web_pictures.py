@@ -76,9 +76,7 @@ def first_screen(shown: Shown) -> None:
         serving(ProjectFolders(*map(Path(folder).joinpath, _PLACES))) as address,
     ):
         empty = Shown(shown.browser, address, shown.config)
-        with empty.page("/sessions", 330) as page:
-            page.locator(".first-screen code").evaluate_all("all => all[0].textContent = 'sessions'")
-            page.locator(".first-screen code").evaluate_all("all => all[1].textContent = 'bc-demo --folder=.'")
+        with empty.page("/", 700) as page:
             shown.keep(page, "first")
 
 
@@ -227,7 +225,7 @@ def jobs(shown: Shown) -> None:
     with shown.page("/jobs?start=train", 760) as page:
         page.fill("details[open] input[name=name]", "first")
         page.fill("details[open] input[name=epochs]", "4")
-        page.wait_for_selector("text=bc-train --name=first --epochs=4")
+        page.wait_for_selector("text=bc-train --name=first --epochs=4", state="attached")
         shown.keep(page, "jobs")
 
 
