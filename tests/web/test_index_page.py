@@ -152,7 +152,7 @@ def test_other_settings_are_tried_before_they_are_written(changed_bench: Served)
     wait_until(lambda: "running" not in bench.get(job).text)
     (address,) = re.findall(r'href="(/index\?[^"]*)"', bench.get(job).text)
     page = bench.get(html.unescape(address)).text
-    assert "bins 25 now, 5 then" in plain(page)
+    assert "bins 25 → 5" in plain(page)
     assert f"{AWKWARD} not then" in plain(page)
     assert "excluded" in plain(page)  # of which there was none before
     assert samples.read_bytes() == before
