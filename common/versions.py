@@ -10,7 +10,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 TOOLKIT: Final = "behavioural-cloning-toolkit"
-VERSION: Final = "0.3.0"
+VERSION: Final = "0.4.0"
 """The version of the toolkit. pyproject.toml and all commands read this constant."""
 
 
