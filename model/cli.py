@@ -27,6 +27,7 @@ from model.train_flags import (
     EARLIER,
     INDEX,
     SESSIONS,
+    VERBS,
     Continue,
     Places,
     ProgressFlags,
@@ -259,6 +260,8 @@ def _new_run(name: str, runs: Path) -> Path:
         raise UsageError("one training is one process: start it without torchrun (WORLD_SIZE)")
     if Path(name).name != name or name.startswith((".", "-")):
         raise UsageError(f"--name {name!r}: expected a plain name; give the folder with --runs")
+    if name in VERBS:
+        raise UsageError(f"--name {name}: a verb of a command, which would not find the run; give another name")
     run = runs / (name or new_run_name())
     refuse_existing_run(run)
     return run

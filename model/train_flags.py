@@ -17,6 +17,7 @@ from model.config import TrainConfig
 from model.runs.run_files import RUNS
 
 INDEX: Final = Path("index")
+VERBS: Final = ("resume", "continue", "export", "drive", "compare")  # of bc-train and bc-eval
 SESSIONS: Final = Path("sessions")
 
 _Name: TypeAlias = Annotated[str, tyro.conf.arg(metavar="NAME")]

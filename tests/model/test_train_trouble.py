@@ -216,6 +216,7 @@ def test_what_can_fail_at_once_fails_before_an_index_is_built(
         (["--takeovers", "drives/run.mcap"], "--takeovers: was removed; `bc-train continue RUN --takeovers LOG`"),
         (["--threads", 16 * usable_cores() + 1], f"--threads {16 * usable_cores() + 1}: expected"),
         (["--name", "a/b"], "--name 'a/b': expected a plain name"),
+        (["--name", "drive"], "--name drive: a verb of a command"),  # `bc-eval drive` would not find it
         (["--name=-x"], "--name '-x': expected a plain name"),  # `bc-drive -x` would take it for a flag
     ],
 )
