@@ -67,7 +67,7 @@ def test_commands_work_where_neither_obstore_nor_ray_is(tmp_path: Path, monkeypa
 
 def test_no_command_loads_them() -> None:
     speaking = those_that_load()
-    assert speaking >= {"common.object_store", "recorder.log_copy_cli"}
+    assert speaking >= {"common.object_store", "recorder.upkeep.copy_log"}
     begun = re.findall(
         r'_command\("bc-[\w-]+", "([\w.]+)"\)', (ROOT / "behavioural_cloning_toolkit.py").read_text()
     )
