@@ -54,6 +54,7 @@ def test_a_folder_and_a_zip_are_dropped(browser: Browser, tmp_path: Path) -> Non
         sent = sorted(path.name for path in (tmp_path / "recordings" / "lake").rglob("*"))
         assert sent == sorted(path.name for path in folder.rglob("*"))
         page.click("text=Import another")
+        page.wait_for_url("**/import")  # until its script listens
         drop(page, tmp_path / "second.zip")
         page.wait_for_selector("text=none of its pictures is there")
         page.click("text=Remove")
