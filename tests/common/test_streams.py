@@ -193,10 +193,10 @@ def test_a_recording_is_followed_to_its_end(reader: type[Reader], tmp_path: Path
 
 def test_a_training_goes_on_when_its_terminal_has_gone(tmp_path: Path) -> None:
     """On which it drew a bar; its results get into a file all the same."""
-    printed = tmp_path / "said"
-    with printed.open("wb") as file, read_by(ClosedTerminal, toy_training(tmp_path), tmp_path, file) as process:
+    log = tmp_path / "said"
+    with log.open("wb") as file, read_by(ClosedTerminal, toy_training(tmp_path), tmp_path, file) as process:
         assert process.wait(PATIENCE_S) == 0
-    assert "epoch  1" in printed.read_text()
+    assert "epoch  1" in log.read_text()
     assert len((find_run("toy", tmp_path / "runs") / "metrics.jsonl").read_text().splitlines()) == 1
 
 

@@ -109,7 +109,7 @@ def test_a_drive_that_was_given_up_is_worse_whatever_the_rest_reports(good: Driv
     assert compared(stuck, stuck)[0] == "not told apart"
 
 
-def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_reports(
+def test_a_run_drives_no_worse_than_itself_and_as_its_own_report_has_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

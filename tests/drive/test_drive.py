@@ -290,7 +290,7 @@ def test_so_many_simulators_are_driven_at_once_and_no_more(pilot_run: Path, tmp_
     assert sum("are not driven" in line for line in printed) == 1
 
 
-def test_who_connects_and_shows_nothing_takes_nobody_the_log(pilot_run: Path, tmp_path: Path) -> None:
+def test_who_connects_and_sends_nothing_takes_nobody_the_log(pilot_run: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with DriveServer(load_pilot(pilot_run), DriveConfig(), log, port=0) as server:
         server.connected("in its menu")
@@ -713,7 +713,7 @@ def test_a_simulator_that_falls_silent_is_steered_once_unasked(pilot_run: Path, 
     assert [event.level for event in pushed] == [LogMessage.WARNING] * 2
 
 
-def test_a_client_that_shows_nothing_is_told_what_to_do(pilot_run: Path, tmp_path: Path) -> None:
+def test_a_client_that_sends_nothing_is_told_what_to_do(pilot_run: Path, tmp_path: Path) -> None:
     with DriveProcess(pilot_run, tmp_path / "run.mcap") as process:
         client = ModernClient(process.wait_until_it_listens())
         process.wait_for("connected, but no telemetry comes: choose Autonomous Mode")

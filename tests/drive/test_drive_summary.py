@@ -63,7 +63,7 @@ def test_what_another_simulator_drove_before_is_not_counted() -> None:
     assert summary.interventions == 0
 
 
-def test_laps_are_reported_only_if_every_frame_told_them() -> None:
+def test_laps_are_reported_only_if_every_frame_has_them() -> None:
     summary = DriveSummary()
     for i in range(3):
         summary.decision(decided(), 2.0, now_s=i / 25)
@@ -134,7 +134,7 @@ def test_a_simulated_clock_that_does_not_advance_is_not_used(step_s: float) -> N
 
 
 @pytest.mark.parametrize("clocks_s", [0.004, 0.4])
-def test_a_simulator_that_shows_its_time_alone_is_measured_by_it(clocks_s: float) -> None:
+def test_a_simulator_that_sends_only_its_time_is_measured_by_it(clocks_s: float) -> None:
     """Faster or slower than the clock: 20 mph for 60 of its seconds are a third of a mile."""
     summary = DriveSummary()
     for i in range(1501):

@@ -166,10 +166,10 @@ def test_the_answer_is_the_networks_and_what_led_to_it_is_reported() -> None:
     assert min(decision.parse_ms, decision.decode_ms, decision.network_ms) > 0
 
 
-@pytest.mark.parametrize(("printed", "sent"), [(7.0, 1.0), (-1.5, -1.0), (math.inf, 0.0)])
-def test_steering_is_clamped_and_the_prediction_is_not(printed: float, sent: float) -> None:
-    decision = drive(Driver(pilot_that_says(printed), DriveConfig()), message())
-    assert (decision.predicted_steering, decision.steering) == (printed, sent)
+@pytest.mark.parametrize(("predicted", "sent"), [(7.0, 1.0), (-1.5, -1.0), (math.inf, 0.0)])
+def test_steering_is_clamped_and_the_prediction_is_not(predicted: float, sent: float) -> None:
+    decision = drive(Driver(pilot_that_says(predicted), DriveConfig()), message())
+    assert (decision.predicted_steering, decision.steering) == (predicted, sent)
 
 
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (1, 1), (5, 4000)])
@@ -253,10 +253,10 @@ def test_a_clock_that_does_not_advance_is_not_used_and_that_is_said_once(half_ri
     decisions = [
         drive(driver, message(world=replace(MIDDLE, time_s=9 + k * step_s)), 5 + k / 20) for k in range(60)
     ]
-    printed = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
+    events = [(k, event) for k, decision in enumerate(decisions) for event in decision.events]
     text = "time_s does not advance: this computer's clock counts instead"
-    assert [event for _, event in printed] == [f"the simulator's world is not used whole: {text}"]
-    assert 1.0 <= printed[0][0] / 20 <= 1.1
+    assert [event for _, event in events] == [f"the simulator's world is not used whole: {text}"]
+    assert 1.0 <= events[0][0] / 20 <= 1.1
     assert decisions[-1].steering - decisions[-21].steering == pytest.approx(0.1)
 
 
@@ -483,7 +483,7 @@ def test_while_nothing_usable_comes_no_change_of_steering_is_saved_up(half_right
     assert drive(driver, message(), telemetries / 10).steering == pytest.approx(0.01)
 
 
-def test_the_simulators_own_clock_counts_where_it_shows_it(half_right: Pilot) -> None:
+def test_the_simulators_own_clock_counts_where_it_sends_it(half_right: Pilot) -> None:
     """A tenth of a second passes there, however long our computer takes; and a clock that goes back is no time."""
     driver = Driver(half_right, DriveConfig(max_steering_per_s=1.0))
     times_s = [5.0, 5.1, 5.1, 5.2, 1.0, 1.1]

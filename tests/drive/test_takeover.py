@@ -23,8 +23,8 @@ def driven(takeover: Takeover, offsets: list[float], steering: float = 0.1) -> l
     seen = []
     for number, offset in enumerate(offsets):
         time_s = number * STEP_S
-        printed = takeover.update(time_s, replace(MIDDLE, time_s=time_s, offset=offset), steering)
-        seen.append((takeover.expert_drives, printed))
+        events = takeover.update(time_s, replace(MIDDLE, time_s=time_s, offset=offset), steering)
+        seen.append((takeover.expert_drives, events))
     return seen
 
 
@@ -138,5 +138,5 @@ def test_laps_and_cars_that_were_put_back_are_events() -> None:
     events = CourseEvents()
     back = "off the road, or stuck: the simulator put the car back"
     worlds = [(0.5, 0), (0.99, 0), (1.01, 0), (0.98, 0), (1.02, 1), (1.5, 1), (2.0, 3), (math.pi, 3)]
-    printed = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in worlds]
-    assert printed == [[], [], ["lap 1"], [], [back], [], [back, "lap 2"], ["lap 3"]]
+    made = [events.update(replace(MIDDLE, laps=laps, interventions=count)) for laps, count in worlds]
+    assert made == [[], [], ["lap 1"], [], [back], [], [back, "lap 2"], ["lap 3"]]

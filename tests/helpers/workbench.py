@@ -78,9 +78,9 @@ class Served:
         """`ask`, of which nothing is read yet; it is broken off when the context is left."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         with contextlib.closing(connection):
-            printed = {name.replace("_", "-"): value for name, value in headers.items()}
+            given = {name.replace("_", "-"): value for name, value in headers.items()}
             own = {"Authorization": f"Bearer {self.token}"} if self.token else {}
-            connection.request(method, path, body, {**own, **printed})
+            connection.request(method, path, body, {**own, **given})
             with contextlib.closing(connection.getresponse()) as answer:
                 yield answer
 

@@ -54,8 +54,8 @@ def test_what_was_begun_goes_on_as_it_was_begun() -> None:
     before = choose_machine(auto, begun={**BEGUN, "arithmetic": "bfloat16"})
     assert before.arithmetic == ("bfloat16" if HAS_BFLOAT16 else "float32")  # as far as it has it
     assert before.micro_batch == 7
-    printed = choose_machine(TrainConfig(device="cpu", precision="bfloat16", micro_batch=5), begun=BEGUN)
-    assert (printed.arithmetic, printed.micro_batch) == ("bfloat16", 5)
+    machine = choose_machine(TrainConfig(device="cpu", precision="bfloat16", micro_batch=5), begun=BEGUN)
+    assert (machine.arithmetic, machine.micro_batch) == ("bfloat16", 5)
 
 
 @pytest.mark.parametrize(

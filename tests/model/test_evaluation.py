@@ -201,8 +201,8 @@ def test_the_worst_frames_are_different_moments(
         assert frame["predicted_deg"] == pytest.approx(row["predicted_deg"], abs=1e-4)
         assert frame["recorded_deg"] == pytest.approx(row["recorded_deg"], abs=1e-5)
         assert frame["error_deg"] == pytest.approx(row["off_deg"], abs=1e-4)
-        printed = datetime.fromisoformat(frame["log_time_utc"])
-        assert printed.timestamp() == pytest.approx(row["log_time_ns"] / 1e9, abs=0.001)
+        time = datetime.fromisoformat(frame["log_time_utc"])
+        assert time.timestamp() == pytest.approx(row["log_time_ns"] / 1e9, abs=0.001)
     assert call(main, "toy", "--json", "--worst", 2) == 0
     assert json.loads(capsys.readouterr().out)["worst"] == worst[:2]
 

@@ -144,11 +144,11 @@ def test_it_is_exported(run: Path, tmp_path: Path) -> None:
     example = (
         session.get_modelmeta().custom_metadata_map["example"].replace("print(steering)", "said.append(steering)")
     )
-    printed: list[float] = []
+    answers: list[float] = []
     code = compile(example.replace("sys.argv[1]", "network").replace("sys.argv[2]", "picture"), "example", "exec")
-    exec(code, {"said": printed, "network": tmp_path / "network.onnx", "picture": str(tmp_path / "picture.png")})
+    exec(code, {"said": answers, "network": tmp_path / "network.onnx", "picture": str(tmp_path / "picture.png")})
     pilot = load_pilot(run, "float32")
-    assert printed == pytest.approx([pilot.predict(pilot.crop(picture))], abs=1e-4)
+    assert answers == pytest.approx([pilot.predict(pilot.crop(picture))], abs=1e-4)
 
 
 def test_networks_of_different_pictures_are_measured_on_the_same_frames(index: Path, tmp_path: Path) -> None:

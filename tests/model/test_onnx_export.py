@@ -137,11 +137,11 @@ def test_steering_is_not_clamped(trained: Path, tmp_path: Path) -> None:
 
 
 def test_it_reports_which_run_it_is(trained: Path, exported: Path) -> None:
-    printed = metadata(exported)
-    assert printed["run"] == "first"
-    assert printed["weights_sha256"] == hashlib.sha256((trained / "model.safetensors").read_bytes()).hexdigest()
-    assert printed["steering.degrees_per_unit"] == "25"
-    assert printed["toolkit"].startswith("behavioural-cloning-toolkit ")
+    stored = metadata(exported)
+    assert stored["run"] == "first"
+    assert stored["weights_sha256"] == hashlib.sha256((trained / "model.safetensors").read_bytes()).hexdigest()
+    assert stored["steering.degrees_per_unit"] == "25"
+    assert stored["toolkit"].startswith("behavioural-cloning-toolkit ")
 
 
 def test_the_same_run_gives_the_same_bytes_wherever_it_lies(
@@ -225,7 +225,7 @@ def with_weights(run_folder: Path, copy: Path, change: Callable[[Weights], objec
 
 
 @pytest.mark.parametrize(
-    ("change", "printed"),
+    ("change", "error"),
     [
         (lambda weights: weights["features.0.weight"].fill(np.nan), r"ONNX Runtime and PyTorch differs by nan"),
         (lambda weights: weights["head.11.weight"].fill(1e6), r"differs by .*, expected less than 0\.0001"),
@@ -234,10 +234,10 @@ def with_weights(run_folder: Path, copy: Path, change: Callable[[Weights], objec
     ids=["no numbers", "huge", "missing"],
 )
 def test_what_does_not_steer_as_the_run_does_gets_no_name(
-    trained: Path, tmp_path: Path, change: Callable[[Weights], object], printed: str
+    trained: Path, tmp_path: Path, change: Callable[[Weights], object], error: str
 ) -> None:
     broken = with_weights(trained, tmp_path / "broken", change)
-    with pytest.raises(RunError, match=printed):
+    with pytest.raises(RunError, match=error):
         export_onnx(broken, tmp_path / "new" / "broken.onnx")
     assert list(tmp_path.iterdir()) == [broken]
 

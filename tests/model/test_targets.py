@@ -322,8 +322,8 @@ def test_pedals_that_are_never_touched_were_not_reported(tmp_path: Path) -> None
 
 def test_a_session_without_speed_is_learnt_for_its_steering_and_named(folder: Path, tmp_path: Path) -> None:
     silent = write_drive(tmp_path / "silent.mcap", knows_speed=False)
-    reported = write_drive(tmp_path / "told.mcap", start_ns=START_NS + 3600 * 10**9)
-    build_index([silent, reported], tmp_path / "index", SETTINGS)
+    drive = write_drive(tmp_path / "told.mcap", start_ns=START_NS + 3600 * 10**9)
+    build_index([silent, drive], tmp_path / "index", SETTINGS)
     settings = replace(QUICK, targets=("steering", "speed"), epochs=1)
     trained = train(tmp_path / "index", tmp_path / "run", settings)
     assert any("no speed in silent, which train only steering" in notice for notice in trained.notices)

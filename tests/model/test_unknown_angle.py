@@ -99,9 +99,9 @@ def test_a_card_and_a_file_for_others_say_that_the_angle_is_unknown(
     assert "in % of full lock, compared with constant predictions" in text
     assert "degrees" not in text
     session = onnxruntime.InferenceSession("hub/model.onnx", providers=["CPUExecutionProvider"])
-    printed = session.get_modelmeta().custom_metadata_map
-    assert printed["steering"].endswith("1 is full lock, an unknown angle")
-    assert "steering.degrees_per_unit" not in printed
+    stored = session.get_modelmeta().custom_metadata_map
+    assert stored["steering"].endswith("1 is full lock, an unknown angle")
+    assert "steering.degrees_per_unit" not in stored
 
 
 def test_the_log_and_a_drive_with_the_run_say_it(

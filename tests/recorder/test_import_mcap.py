@@ -107,8 +107,8 @@ def test_every_picture_gets_the_last_steering_before_it(tmp_path: Path, options:
 
 def test_the_log_reports_where_it_comes_from(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "other.mcap", DRIVE)
-    printed = topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
-    with Log(imported(source, printed).path) as log:
+    columns = topics(CAMERA, f"{WHEEL}.steering.angle", steering_scale=-0.5)
+    with Log(imported(source, columns).path) as log:
         expected = {
             "source": "mcap",
             "recording": "other.mcap",
@@ -424,8 +424,8 @@ def test_a_damaged_bag_is_never_worse_than_a_clear_error(tmp_path: Path, name: s
             damaged = damaged[: generator.randrange(len(damaged))]
         (bag / name).write_bytes(damaged)
         try:
-            printed = topics(CAMERA, "/drive.drive.steering_angle")
-            import_recording(bag, tmp_path / "log.mcap", printed, overwrite=True)
+            columns = topics(CAMERA, "/drive.drive.steering_angle")
+            import_recording(bag, tmp_path / "log.mcap", columns, overwrite=True)
         except UserError as error:
             errors.append(str(error))
     assert len(errors) > 5

@@ -322,7 +322,7 @@ def test_it_ends_when_nothing_more_comes(tmp_path: Path, capsys: pytest.CaptureF
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_simulator_that_shows_its_clock_and_place_is_recorded_by_them(
+def test_a_simulator_that_sends_its_clock_and_place_is_recorded_by_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Ten simulated seconds in however little time; what of its world cannot be used is said once."""
@@ -341,8 +341,8 @@ def test_a_simulator_that_shows_its_clock_and_place_is_recorded_by_them(
     assert [time_ns - times_ns[0] for time_ns in times_ns] == [round(i / 4 * 1e9) for i in range(40)]
     assert [message.log_time for message, _ in messages["/pose"]] == times_ns
     assert messages["/pose"][0][1].pose.position.y == 2.0
-    printed = [event.message for _, event in messages["/events"] if "world" in event.message]
-    assert printed == ["the simulator's world is not used whole: laps is beyond 1e+09, or no number"]
+    events = [event.message for _, event in messages["/events"] if "world" in event.message]
+    assert events == ["the simulator's world is not used whole: laps is beyond 1e+09, or no number"]
 
 
 @pytest.mark.parametrize("step_h", [-1, 1])

@@ -146,13 +146,13 @@ def test_an_unfinished_log_is_asked_for_them(tmp_path: Path, monkeypatch: pytest
     assert info.meant_gaps == [2]
 
 
-@pytest.mark.parametrize("printed", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
-def test_what_another_program_reports_of_them_is_no_error(printed: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stored", ["", "{}", "[1.5]", '["a"]', "[[[", "[1e99]"])
+def test_what_another_program_reports_of_them_is_no_error(stored: str, tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.mcap", {"source": "test"}) as writer:
         writer.vehicle(START_NS, 0, VehicleState())
     with Log(tmp_path / "a.mcap") as log:
         quality = log.read_metadata("bc.quality")
-    found = Findings.from_metadata({**quality, "meant_gaps": printed})
+    found = Findings.from_metadata({**quality, "meant_gaps": stored})
     assert found is not None
     assert found.meant_gaps == []
 

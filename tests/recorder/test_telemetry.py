@@ -354,7 +354,7 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "answers"),
+    ("name", "value", "error"),
     [
         ("time_s", True, "time_s is not a number but true or false"),
         ("laps", [1.0], "laps is not a number but a list"),
@@ -368,9 +368,9 @@ def test_strings_have_the_decimal_point_of_the_telemetry() -> None:
         ("interventions", 0.5, "interventions is not a whole number from 0 on"),
     ],
 )
-def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, answers: str) -> None:
+def test_what_cannot_be_used_is_named_and_the_rest_is_used(name: str, value: object, error: str) -> None:
     parsed, problems = parse_world(world(**{name: value}))
-    assert problems == (answers,)
+    assert problems == (error,)
     assert parsed == World(**world(**{name: None}))
 
 
@@ -423,7 +423,7 @@ def test_what_is_wrong_with_a_world_is_named_once(pilot: Pilot) -> None:
     assert answers == [(laps,), (), (), (offset,), (), ()]
 
 
-def test_a_simulator_that_shows_its_time_alone_is_driven_by_it(pilot: Pilot) -> None:
+def test_a_simulator_that_sends_only_its_time_is_driven_by_it(pilot: Pilot) -> None:
     """Steering that is smoothed over a second follows the simulator's seconds, whatever the clock shows."""
 
     def steered(seconds_of_the_clock: float) -> list[float]:

@@ -292,9 +292,9 @@ class Drive:
             assert client.connections == 1
 
     def _port(self) -> int:
-        printed = self.log.with_suffix(".txt")
-        wait_until(printed.exists)
-        port = wait_until(lambda: re.search(r"127\.0\.0\.1:(\d+)\n", printed.read_text()))
+        path = self.log.with_suffix(".txt")
+        wait_until(path.exists)
+        port = wait_until(lambda: re.search(r"127\.0\.0\.1:(\d+)\n", path.read_text()))
         assert port is not None
         return int(port[1])
 

@@ -178,7 +178,7 @@ def test_values_are_those_of_the_simulators_own_rows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "printed"),
+    ("name", "value", "error"),
     [
         ("rate_hz", 15.0, "--rate 15"),
         ("rate_hz", 0.0, "--rate 0"),
@@ -186,7 +186,7 @@ def test_values_are_those_of_the_simulators_own_rows() -> None:
         ("laps", 0.0, "laps must be above 0"),
     ],
 )
-def test_a_recording_that_cannot_be_driven_is_refused(name: str, value: float, printed: str) -> None:
+def test_a_recording_that_cannot_be_driven_is_refused(name: str, value: float, error: str) -> None:
     arguments = {"laps": 1.0, name: value}
-    with pytest.raises(ValueError, match=printed):
+    with pytest.raises(ValueError, match=error):
         drive_for_recording(Course(OVAL), Expert(OVAL.line, 10), **arguments)  # type: ignore[arg-type]

@@ -106,12 +106,12 @@ def test_a_log_without_a_sound_end_is_compared_and_said(
 
 
 def test_what_networks_said_stands_beside_what_was_driven(tmp_path: Path) -> None:
-    drive, printed = write_drive(tmp_path / "a.mcap"), tmp_path / "said.mcap"
-    with LogWriter(printed, {"source": "prediction"}) as log:
+    drive, other = write_drive(tmp_path / "a.mcap"), tmp_path / "said.mcap"
+    with LogWriter(other, {"source": "prediction"}) as log:
         for row in range(ROWS):
             steering = Prediction(steering=-row / 100, recorded_steering=row / 100)
             log.prediction("first", START_NS + row * STEP_NS, row, steering)
-    entities = shown(tmp_path / "x.rrd", drive, printed)
+    entities = shown(tmp_path / "x.rrd", drive, other)
     predicted = values(entities, "/said/steering/predicted_by/first")
     assert predicted == pytest.approx([-row / 100 for row in range(ROWS)])
     times = entities["/said/steering/predicted_by/first"]["since start"]

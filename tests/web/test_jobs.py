@@ -71,8 +71,8 @@ def test_a_job_is_the_command_and_makes_what_it_makes(bench: Served) -> None:
 
 
 def test_an_import_is_the_command_with_its_flags(bench: Served) -> None:
-    printed = {"columns": "image=frame steering=angle", "steering_offset": "-0.53", "time_unit": "us"}
-    asked = {"form": "import", "name": "mine", "source": "/my drives"} | printed
+    values = {"columns": "image=frame steering=angle", "steering_offset": "-0.53", "time_unit": "us"}
+    asked = {"form": "import", "name": "mine", "source": "/my drives"} | values
     flags = (
         f"--columns image=frame steering=angle --steering-offset=-0.53 --time-unit=us --sessions={bench.folder}"
     )

@@ -65,10 +65,10 @@ def test_a_page_from_elsewhere_cannot_ask(bench: Served, origin: str, method: st
     assert "only the workbench's own pages" in answer.json["error"]
 
 
-def test_what_browsers_show_without_an_origin_is_heard_too(bench: Served) -> None:
+def test_what_browsers_send_without_an_origin_is_heard_too(bench: Served) -> None:
     """A picture or a frame in another site's page has no Origin."""
-    printed = [FROM_OUR_PAGE, TYPED, A_LINK, FROM_ANOTHER, A_FRAME, {**A_LINK, "Sec_Fetch_Site": "same-site"}]
-    assert [bench.get("/sessions", **headers).status for headers in printed] == [200, 200, 403, 403, 403, 403]
+    requests = [FROM_OUR_PAGE, TYPED, A_LINK, FROM_ANOTHER, A_FRAME, {**A_LINK, "Sec_Fetch_Site": "same-site"}]
+    assert [bench.get("/sessions", **headers).status for headers in requests] == [200, 200, 403, 403, 403, 403]
     own = bench.address
     for scheme in ("http", "https"):  # as it is opened through a proxy that encrypts
         origin = own.replace("http", scheme)

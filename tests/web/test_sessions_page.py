@@ -179,10 +179,10 @@ def test_a_recording_is_one_from_its_first_moment(tmp_path: Path) -> None:
         write_log(tmp_path / "sessions" / "read_after_it.mcap", [0.1] * 3)
         with served(tmp_path) as bench:
             wait_until(lambda: "3 rows" in rows(bench)["read_after_it"])
-            printed = rows(bench)[part.name]
-            assert "recording" in printed
-            assert "damaged" not in printed
-            assert "not an MCAP log" not in printed
+            rows_found = rows(bench)[part.name]
+            assert "recording" in rows_found
+            assert "damaged" not in rows_found
+            assert "not an MCAP log" not in rows_found
             assert part.stat().st_size == 0
 
 
