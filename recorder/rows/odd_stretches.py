@@ -232,7 +232,8 @@ def off_road_rows(beyond_m: Values, time_s: Values, drive: NDArray[np.int64]) ->
 
 
 def stretch_rows(mask: Mask, time_s: Values, drive: NDArray[np.int64], least_s: float) -> Mask:
-    """The rows (N,) of a mask's stretches that last for `least_s`, and those between two of them."""
+    """The rows (N,) of the stretches of a mask that last `least_s` or longer. Two of them become one if the time
+    between them is `JOIN_S` or less."""
     rows = np.zeros(len(drive), np.bool_)
     last_before = -1
     for first, last in stretches_within(mask, drive):
@@ -258,12 +259,12 @@ def weaving_rows(motion: Motion, states: States) -> Mask:
     """The rows (N,) of a moving car that is steered from full lock to full lock, again and again. Its heading has
     to follow, where it is known."""
     weaving = np.zeros(len(motion.drive), np.bool_)
-    there, here = _swings(np.where(motion.standing, 0.0, states.steering))
-    is_quick = motion.time_s[here] - motion.time_s[there] <= SWING_S  # drives are farther apart
-    waits = motion.time_s[there[1:]] - motion.time_s[here[:-1]] > SWING_S  # between two swings
-    in_a_row = np.cumsum(np.concatenate([[0], waits]))[: len(there)]
+    left, reached = _swings(np.where(motion.standing, 0.0, states.steering))
+    is_quick = motion.time_s[reached] - motion.time_s[left] <= SWING_S  # drives are farther apart
+    waits = motion.time_s[left[1:]] - motion.time_s[reached[:-1]] > SWING_S  # between two swings
+    in_a_row = np.cumsum(np.concatenate([[0], waits]))[: len(left)]
     for first, last in stretches_within(is_quick, in_a_row):
-        rows = slice(int(there[first]), int(here[last]) + 1)
+        rows = slice(int(left[first]), int(reached[last]) + 1)
         if last - first + 1 >= SWINGS and (
             states.heading_rad is None or _turned_rad(states.heading_rad[rows]) >= SWUNG_RAD
         ):

@@ -202,6 +202,7 @@ class TelemetryServer:
         self._application = socketio.WSGIApp(self._server, landing_page(self._notify_once))
         self._clients: dict[str, Client] = {}  # by python-engineio's names
         self._engine = self._server.eio
+        # python-engineio finds here what serves websockets: ours, instead of eventlet's
         self._engine._async = {**self._engine._async, "websocket": self._upgrade}
         self._connected, self._received = (self._engine.handlers[name] for name in ("connect", "message"))
         self._engine.on("connect", self._on_connection)
