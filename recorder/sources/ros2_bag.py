@@ -163,7 +163,8 @@ class SqliteFile:
     def _open(self) -> Iterator[sqlite3.Connection]:
         with self._readable():
             address = f"{self.path.absolute().as_uri()}?mode=ro&immutable=1"
-            with closing(sqlite3.connect(address, uri=True)) as database:
+            # An iterator that was left early is closed by whichever thread collects garbage.
+            with closing(sqlite3.connect(address, uri=True, check_same_thread=False)) as database:
                 # The file may define views that never end, and triggers: none may run.
                 database.execute("PRAGMA trusted_schema = OFF")
                 database.execute("PRAGMA query_only = ON")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -202,6 +202,16 @@ def test_frames_in_a_ros2_bag(tmp_path: Path, msgtype: str) -> None:
         for schema, channel, message in SqliteFile(path).messages(VIDEO, "")
     ]
     assert found == [("libx264", data) for data in packets]
+
+
+def test_an_iterator_of_a_ros2_bag_is_closed_by_any_thread(tmp_path: Path) -> None:
+    """Python collects what was left early in the thread that happens to run then."""
+    [path] = write_video_bag(tmp_path / "bag", StoragePlugin.SQLITE3, encoded(3)).glob("*.db3")
+    messages = SqliteFile(path).messages(VIDEO, "")
+    assert isinstance(messages, Generator)
+    next(messages)
+    with ThreadPoolExecutor() as pool:
+        pool.submit(messages.close).result()
 
 
 def test_an_import_decodes_a_log_s_video_and_reports_so(tmp_path: Path) -> None:

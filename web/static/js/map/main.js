@@ -31,6 +31,7 @@ function show() {
   showProblem(problem);
   by("again").hidden = !problem;
   by("progress").hidden = !map.isWaiting;
+  by("stop").disabled = !map.key; // not known before the work has begun
   if (map.isWaiting) showProgress(progress);
   for (const id of ["lonely", "doubles", "whole", "by"]) by(id).disabled = !map.about;
   page.dataset.shown = map.about ? map.run : ""; // for scripts that wait for it

@@ -26,9 +26,10 @@ export class PictureMap {
 
   async make(run) {
     this.clear(run);
+    const making = (this.making = {});
+    const isWanted = () => this.making === making; // else another one was begun, or it was stopped
     this.onChange();
     try {
-      const isWanted = () => this.run === run && !this.problem; // else another run was chosen, or it was stopped
       const state = await awaited(`/map.state?${this.query}`, {
         isWanted,
         onProgress: (progress) => {
@@ -38,18 +39,19 @@ export class PictureMap {
       });
       if (!isWanted()) return;
       const values = new Float32Array(await (await ask(`/map.points?key=${state.key}`)).arrayBuffer());
-      if (this.run !== run) return;
+      if (!isWanted()) return;
       this.columns = columnsOf(values, COLUMNS);
       Object.assign(this, { about: state.about, key: state.key, logs: state.logs, length: this.columns.row.length });
       this.arrange();
     } catch (error) {
-      if (this.run !== run) return;
+      if (!isWanted()) return;
       this.problem = error.message;
     }
     this.onChange();
   }
 
   async stop() {
+    this.making = null;
     this.problem = "stopped";
     this.onChange();
     await ask(`/map.stop?key=${this.key}`, { method: "POST" });

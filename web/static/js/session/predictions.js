@@ -11,7 +11,7 @@ export class Predictions {
   }
 
   clear(run) {
-    Object.assign(this, { run, summary: "", problem: "", about: null, worst: [], at: -1 });
+    Object.assign(this, { run, summary: "", problem: "", about: null, worst: [], at: -1, making: {} });
     delete this.data.columns.predicted;
   }
 
@@ -33,23 +33,25 @@ export class Predictions {
     this.clear(run);
     this.onChange();
     if (!run) return;
+    const { making } = this;
+    const isWanted = () => this.making === making; // else another one was begun, or it was stopped
     try {
       const state = await awaited(this.address(run), {
-        isWanted: () => this.run === run,
+        isWanted,
         onProgress: (progress) => {
           this.summary = waiting(progress);
           this.onChange();
         },
       });
-      if (this.run !== run) return;
+      if (!isWanted()) return;
       const column = await ask(`${this.data.address}/predictions/rows/${state.key}`);
       const predicted = new Float64Array(await column.arrayBuffer());
-      if (this.run !== run) return;
+      if (!isWanted()) return;
       if (predicted.length !== this.data.length) throw new Error("the log has changed: choose the network again");
       this.data.columns.predicted = predicted;
       this.show(state);
     } catch (error) {
-      if (this.run !== run) return;
+      if (!isWanted()) return;
       this.summary = this.problem = error.message;
     }
     this.onChange();
