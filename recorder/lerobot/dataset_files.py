@@ -63,7 +63,6 @@ class DatasetFiles:
         self._data.write(columns)
 
     def end_episode(self, about: dict[str, Any]) -> None:
-        """Write the episode's entry in meta/episodes."""
         assert self._data is not None  # noqa: S101
         number = self._data.number
         places: dict[str, Any] = {"data/chunk_index": number.chunk, "data/file_index": number.file}
@@ -144,7 +143,6 @@ class DataFiles:
         self._bytes += size
 
     def write(self, columns: Mapping[str, pa.Array]) -> None:
-        """Write frames as a row group."""
         assert self._writer is not None  # noqa: S101
         table = pa.table([columns[name] for name in self._schema.names], schema=self._schema)
         self._writer.write_table(table, row_group_size=len(table))

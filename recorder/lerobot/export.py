@@ -199,7 +199,6 @@ class _Export:
         self._files.write(columns)
 
     def _numbers(self, taken: LogEpisodes, kept: list[int]) -> Columns:
-        """The number columns of an episode's rows."""
         states = taken.states.part(kept)
         frame = np.arange(len(kept))
         vehicle = np.stack([states.steering, states.throttle, states.brake, states.speed_mph], axis=1)
@@ -234,7 +233,6 @@ class _Export:
         }
 
     def write_rest(self, licence: str | None) -> None:
-        """Write the files that describe the episodes."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
         info = form.info(
             self._files.columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, is_video=is_video

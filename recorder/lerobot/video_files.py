@@ -47,7 +47,6 @@ class VideoFiles:
         self._first = self._frames
 
     def add(self, bgr: NDArray[np.uint8]) -> None:
-        """Add a picture (height, width, 3)."""
         frame = self._av.VideoFrame.from_ndarray(bgr, format="bgr24")
         frame.pts, frame.time_base = self._frames, Fraction(1, self._fps)
         if self._container is None:

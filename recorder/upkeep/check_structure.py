@@ -6,8 +6,6 @@ import struct
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -20,34 +18,17 @@ from recorder.mcap.picture_places import (
     is_about_places,
     places_in,
     read_chunk_crcs,
-    read_places,
     stored_places,
 )
-from recorder.mcap.scan import DAMAGED, Structure, read_structure
+from recorder.mcap.scan import DAMAGED, Structure
 from recorder.upkeep.check_contents import Finding
 
 ChunkMessages = tuple[bytes, list[StoredMessage]]  # the records of a chunk, and their messages
-
-DATA_CRC: Final = "CRC of all data does not hold"
-"""If this is the only finding, the damage is outside the chunks."""
 
 
 def sound_chunks(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
     """Every sound chunk, in the file's order; faults are added to `findings`."""
     return (_without_end if structure.problem else _walk)(file, structure, findings)
-
-
-def is_damaged_beside_chunks(path: Path) -> bool:
-    """True for a finished file with sound chunks and indexes, but a wrong CRC of all data: then metadata or
-    descriptions of topics are damaged, in an unknown place. Reads the whole file."""
-    findings: list[Finding] = []
-    with McapFile(path) as file:
-        structure = read_structure(file)
-        if structure.problem:
-            return False
-        for _ in sound_chunks(file, structure, findings):
-            pass
-    return {finding.kind for finding in findings} == {DATA_CRC}
 
 
 def _without_end(file: McapFile, structure: Structure, findings: list[Finding]) -> Iterator[ChunkMessages]:
@@ -92,7 +73,7 @@ def _walk(file: McapFile, structure: Structure, findings: list[Finding]) -> Iter
             # 0 is damage, except in our earliest logs, which have neither this CRC nor bc.quality
             is_promised = file.promises_crcs and (structure.has_quality or not file.is_ours)
             if stored != crc and (stored or is_promised):
-                findings.append(Finding(DATA_CRC, f"{stored:08x}, found {crc:08x}"))
+                findings.append(Finding("CRC of all data does not hold", f"{stored:08x}, found {crc:08x}"))
             break
         crc = zlib.crc32(record, crc)
         if opcode == Opcode.CHUNK:
@@ -177,7 +158,7 @@ class PlacesCheck:
         self._crcs = read_chunk_crcs(file, structure)
         if self._crcs is None:
             findings.append(Finding("lists that describe another file", CHUNKS_ATTACHMENT))
-        elif (places := stored_places(file, structure)) is None or read_places(file, structure) is None:
+        elif (places := stored_places(file, structure)) is None:
             findings.append(Finding("lists that describe another file", PICTURES_ATTACHMENT))
         else:
             self._places = places

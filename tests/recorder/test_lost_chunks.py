@@ -4,7 +4,6 @@ pictures with them; a chunk of pictures costs no row. All of it is told by its n
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -139,20 +138,6 @@ def test_whatever_chunk_is_lost_costs_no_more_than_it_must(whole: Path, is_kille
         for chunk in (behind_descriptions(chunks) if is_killed else chunks)
         for complaint in complaints_of(whole, [chunk], is_killed=is_killed)
     ]
-    assert complaints == []
-
-
-@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
-@pytest.mark.parametrize("times", [10, pytest.param(200, marks=pytest.mark.long)])
-def test_whatever_chunks_are_lost_cost_no_more_than_they_must(whole: Path, is_killed: bool, times: int) -> None:
-    chunks = contents(whole).chunks
-    chance = random.Random(5)
-    complaints = []
-    for turn in range(times):
-        lost = chance.sample(behind_descriptions(chunks), chance.randint(2, 5))
-        complaints += [
-            f"turn {turn}: {complaint}" for complaint in complaints_of(whole, lost, is_killed=is_killed)
-        ]
     assert complaints == []
 
 
