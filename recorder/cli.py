@@ -152,7 +152,6 @@ EARLIER: Final = (
 
 
 def _record(config: Record) -> int:
-    """Record a driver of the built-in simulator. Returns the exit code, as the other verbs do."""
     from recorder.sources.built_in_simulator import check_drive, record_simulated  # NumPy, Protobuf, OpenCV
 
     with usage_errors(RecordingError):
@@ -186,7 +185,6 @@ def _record_me(config: RecordMe) -> int:
 
 
 def _record_listening(config: RecordListening) -> int:
-    """Record simulators that connect; with --me, a person drives one."""
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: expected a number of seconds, 0 or more")
     if config.port:  # 0: a free one
@@ -252,7 +250,6 @@ def _page_opener(stack: contextlib.ExitStack, log: Path, *, serves: bool, opens:
 
 
 def _check_person(drive: PersonDrive) -> None:
-    """Raise UsageError for values that do not fit a person's drive."""
     from recorder.sources.settings import check_row_rate
 
     _check_speed(drive.speed)

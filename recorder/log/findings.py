@@ -191,7 +191,6 @@ class WrittenRows:
         return self._places.placed(States(numbers[:, 0], numbers[:, 1], *values.T))
 
     def meant_gaps(self, states: States) -> NDArray[np.bool_]:
-        """The rows (N,) after gaps that were meant."""
         return self._not_recorded.gaps(states)
 
     def findings(self) -> Findings:

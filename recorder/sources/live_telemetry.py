@@ -453,7 +453,6 @@ class _Session:
             self._event(received_ns, text, "WARNING")
 
     def _event(self, happened_ns: int, text: str, level: EventLevel = "INFO") -> int:
-        """Write an event, and return its log time."""
         time_ns = self._clock.event(happened_ns)
         self.writer.event(time_ns, text, level, "recorder")
         return time_ns

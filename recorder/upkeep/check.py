@@ -51,7 +51,6 @@ class Checked:
     pauses: list[str]  # of a recorder that people switch off and on; not findings
     set_back: list[str]  # jumps back in time; of such a recorder, not findings
     lag: LagFinding | None  # of the steering, known or measured; None: not measured
-    is_lag_kept: bool  # in the log or next to it
     odd: list[OddStretch]  # without those tagged fine; including unsure ones, which are not findings
 
 
@@ -78,7 +77,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
         has_crcs = file.have_crcs(structure.chunks)
     has_rows = contents.counts[VEHICLE] and contents.counts[camera_topic("center")]
     odd = contents.odd
-    lag, is_lag_kept = None, False
+    lag = None
     excluded = TaggedRows(())
     is_paused_by_people = False
     with contextlib.suppress(LogError), Log(path) as log:
@@ -89,7 +88,7 @@ def check(path: Location, *, look: bool = True) -> Checked:
         if states is not None:
             odd = odd_stretches(states)
         if look and has_rows:
-            lag, is_lag_kept = find_lag(log)
+            lag = find_lag(log)
         shown = None if lag is None else lag.lag
         if look and has_rows and isinstance(path, Path):
             from recorder.log.known_lag import measure_lag
@@ -128,6 +127,5 @@ def check(path: Location, *, look: bool = True) -> Checked:
         [finding.where for finding in pauses if finding.where not in contents.set_back],
         contents.set_back,
         lag,
-        is_lag_kept,
         odd,
     )

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.files import final_path, refuse_existing
+from common.interrupts import uninterrupted
 from common.progress import track
 from recorder import topics
 from recorder.errors import LogError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tags import Tag, tags_of
-from recorder.log.writer import LogWriter, close_with_tags
+from recorder.log.writer import LogWriter, close_with_tags, write_tags
 from recorder.mcap.compressed_image import is_image_channel
 from recorder.rows.row_quality import drive_numbers
 from recorder.upkeep.derived_log import (
@@ -34,7 +35,6 @@ from recorder.upkeep.derived_log import (
     Written,
     copy_rest,
     new_log,
-    publish_all,
     refuse_taken,
     tags_of_rows,
 )
@@ -136,7 +136,7 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
 
     A new drive begins after a gap of more than a second, or where time goes back. A picture without a row goes to
     the drive of the picture before it in the file, another message without a row to that of the vehicle state
-    before it. All logs are written or none. Raises LogError if there is only one drive.
+    before it. Raises LogError if there is only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:
         number, time_ns = _rows(log)
@@ -170,7 +170,10 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             copy_rest(log, log.all_metadata, writer, left_out)
             writer.finish()
         rows = [number[drives == drive].tolist() for drive in range(len(targets))]
-        publish_all(path, writers, [tags_of_rows(tags, drive_rows) for drive_rows in rows], overwrite)
+        with uninterrupted():
+            for writer, drive_rows in zip(writers, rows, strict=True):
+                writer.publish()
+                write_tags(writer.path, tags_of_rows(tags, drive_rows))
     return [Written(*parts) for parts in zip(targets, counts, map(len, rows), skipped, strict=True)]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -27,8 +25,6 @@ from recorder.upkeep.recover import recover
 from tests.helpers.layouts import Layout, mixed, two_kinds
 from tests.helpers.logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
 from tests.helpers.plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
-from tests.helpers.udacity import jpeg
-from tests.helpers.waiting import PATIENCE_S
 
 SECOND_NS = 1_000_000_000
 VERSION = version_of()
@@ -448,36 +444,3 @@ def test_a_damaged_log_is_not_edited_by_halves(tmp_path: Path, edit: Edit) -> No
     with pytest.raises(LogError, match=r"a\.mcap: damaged.*bc-log recover"):
         edit(path, tmp_path / "b.mcap", False)
     assert list(tmp_path.iterdir()) == [path]
-
-
-def picture_drive(path: Path) -> Path:
-    with LogWriter(path, {"source": "test"}) as writer:
-        writer.event(START_NS, "begin")
-        for row in range(10):
-            time_ns = START_NS + row * STEP_NS + (5 * SECOND_NS if row > 5 else 0)
-            for level, camera in enumerate(CAMERAS):
-                writer.picture(camera, time_ns, row, jpeg(20 * level + row))
-            writer.vehicle(time_ns, row, VehicleState(steering=row / 100, throttle=0.5, speed_mph=9.0))
-    return path
-
-
-def test_rerun_finds_nothing_wrong_with_any_of_them(tmp_path: Path) -> None:
-    """It does with a merged log in which time goes back, of which the drives were given in that order."""
-    recorded = picture_drive(tmp_path / "recorded.mcap")
-    part, _ = killed(recorded)
-    recover(part, tmp_path / "recovered.mcap")
-    trim(recorded, tmp_path / "trimmed.mcap", (2, 7))
-    merge([written.path for written in split(recorded, tmp_path)], tmp_path / "merged.mcap")
-    complaints = []
-    for name in ("recovered", "trimmed", "merged"):
-        path = tmp_path / f"{name}.mcap"
-        done = subprocess.run(
-            [sys.executable, "-m", "rerun_cli", "mcap", "check", "--full", str(path)],
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
-        )
-        if done.returncode or done.stderr or "PROBLEM" in done.stdout or "/camera/left" not in done.stdout:
-            complaints.append(f"{path.name}: {done.stdout} {done.stderr}")
-    assert complaints == []

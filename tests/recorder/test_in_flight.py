@@ -212,19 +212,6 @@ def test_a_held_telemetry_reaches_the_handler_when_its_client_goes(hangs_up: boo
     assert book.calls.index("unanswered") < book.calls.index("disconnected" if hangs_up else "final_command")
 
 
-def test_a_client_that_connects_again_owes_nothing() -> None:
-    book = Pushing()
-    with serving(book):
-        loop = pushed_loop(book, 1)
-        loop.client.vanish()
-        wait_until(lambda: "disconnected" in book.calls)
-        again = Loop(book.server.port, 2)
-        for number in range(2):
-            again.expect_answer_to(number)
-        again.client.close()
-    assert book.left == []
-
-
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("in_flight", [1, 2])
 def test_a_first_command_is_paid_back_and_reported(in_flight: int, monkeypatch: pytest.MonkeyPatch) -> None:

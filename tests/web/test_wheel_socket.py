@@ -123,7 +123,7 @@ def test_the_socket_needs_the_cookie_of_the_pages(bench: Served, wheel: Wheel) -
     assert wheel.pages == 0
 
 
-def test_messages_that_are_none_do_no_harm_and_are_counted(bench: Served, wheel: Wheel) -> None:
+def test_messages_that_are_none_do_no_harm(bench: Served, wheel: Wheel) -> None:
     bad: list[str | bytes] = [
         control(9, float("nan")),
         control(9, 1.5),
@@ -137,7 +137,6 @@ def test_messages_that_are_none_do_no_harm_and_are_counted(bench: Served, wheel:
             page.send(message)
         page.send(control(1, -1))
         wait_until(lambda: wheel.control().steering == -1)
-        assert wheel.refused == len(bad)
 
 
 def test_a_message_of_10_mb_ends_the_page_that_sends_it_and_no_other(bench: Served, wheel: Wheel) -> None:
@@ -155,6 +154,5 @@ def test_a_page_that_sends_10_000_messages_at_once_is_disconnected(bench: Served
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
     wait_until(lambda: wheel.pages == 0)
-    assert wheel.refused >= 1
     assert wheel.control().number <= 3 * MAX_PER_S
     assert bench.get(f"/wheel/{wheel.key}").status == 200
