@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -174,12 +174,8 @@ def _record_me(config: RecordMe) -> int:
     _check_person(config.drive)
 
     def write(log: Path) -> Imported:
-        with contextlib.ExitStack() as stack:
-            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
-            done = record_person(config.drive, log, overwrite=config.log.force, on_wheel=on_wheel)
-            if config.page:
-                wait_until_left(done.path)
-            return done
+        with _page(log, serves=config.page, opens=config.open) as on_wheel:
+            return record_person(config.drive, log, overwrite=config.log.force, on_wheel=on_wheel)
 
     return _make_session(config.name, config.log, write)
 
@@ -207,11 +203,8 @@ def _record_listening(config: RecordListening) -> int:
             if not config.me:
                 return listen_for_telemetry(log, settings, overwrite=config.log.force)
 
-            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
-            done = listen_at_the_wheel(settings, log, config.speed, overwrite=config.log.force, on_wheel=on_wheel)
-            if config.page:
-                wait_until_left(done.path)
-            return done
+            on_wheel = stack.enter_context(_page(log, serves=config.page, opens=config.open))
+            return listen_at_the_wheel(settings, log, config.speed, overwrite=config.log.force, on_wheel=on_wheel)
 
     return _make_session(config.name, config.log, write)
 
@@ -239,14 +232,18 @@ def _car(name: str | None) -> Car | None:
     return None if name is None else named_car(name)
 
 
-def _page_opener(stack: contextlib.ExitStack, log: Path, *, serves: bool, opens: bool) -> Callable[[Wheel], None]:
-    """What is called with the wheel as soon as a page can connect: it serves the page until `stack` is closed."""
+@contextlib.contextmanager
+def _page(log: Path, *, serves: bool, opens: bool) -> Iterator[Callable[[Wheel], None]]:
+    """What is called with the wheel as soon as a page can connect: it serves the page until the user leaves it."""
+    with contextlib.ExitStack() as stack:
 
-    def serve_page(wheel: Wheel) -> None:
+        def serve_page(wheel: Wheel) -> None:
+            if serves:
+                stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
+
+        yield serve_page
         if serves:
-            stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
-
-    return serve_page
+            wait_until_left(log)
 
 
 def _check_person(drive: PersonDrive) -> None:

@@ -11,7 +11,6 @@ import contextlib
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -38,8 +37,6 @@ from recorder.upkeep.derived_log import (
     refuse_taken,
     tags_of_rows,
 )
-
-_MAX_DRIVES: Final = 500  # a log of each is open at once
 
 Copied = tuple[Schema | None, Channel, McapMessage]
 
@@ -143,8 +140,6 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
         drives = drive_numbers(time_ns)
         if not len(drives) or drives[-1] == 0:
             raise LogError(f"{path}: has a single drive: nothing to split")
-        if drives[-1] >= _MAX_DRIVES:
-            raise LogError(f"{path}: {drives[-1] + 1:,} drives are too many files; trim the parts that you want")
         name = final_path(path).name.removesuffix(".mcap")
         targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
         for target in targets:

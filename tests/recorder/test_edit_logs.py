@@ -23,7 +23,7 @@ from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
 from recorder.upkeep.recover import recover
 from tests.helpers.layouts import Layout, mixed, two_kinds
-from tests.helpers.logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of, write_log
+from tests.helpers.logs import START_NS, STEP_NS, flip_bit, not_a_picture, tags_of
 from tests.helpers.plain_mcap import Contents, Stored, by_topic, contents, plain_writer, write_plain
 
 SECOND_NS = 1_000_000_000
@@ -297,12 +297,9 @@ def test_what_was_merged_is_split_again_where_time_goes_back(tmp_path: Path) -> 
     assert messages == Counter(contents(tmp_path / "all.mcap").messages)
 
 
-def test_a_single_drive_and_too_many_are_not_split(tmp_path: Path) -> None:
+def test_a_single_drive_is_not_split(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: has a single drive"):
         split(drive(tmp_path / "a.mcap", range(5)), tmp_path / "drives")
-    path = write_log(tmp_path / "b.mcap", [0.0] * 600, cameras=(), step_ns=-1)
-    with pytest.raises(LogError, match=r"b\.mcap: 600 drives are too many"):
-        split(path, tmp_path / "drives")
     assert not (tmp_path / "drives").exists()
 
 

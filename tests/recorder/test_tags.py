@@ -82,21 +82,11 @@ def test_wherever_a_crash_cuts_the_last_line_the_others_stay(log: Path) -> None:
 
 DAMAGED = {
     "no JSON": b"exclude 3 5",
-    "an empty line": b"",
-    "another kind": b'["exclude"]',
     "neither added nor removed": b'{"rows": [1, 2], "log": "%s"}',
     "both": b'{"add": "x", "remove": "x", "rows": [1, 2], "log": "%s"}',
-    "no log": b'{"add": "x", "rows": [1, 2]}',
-    "one row": b'{"add": "x", "rows": [1], "log": "%s"}',
     "rows the wrong way round": b'{"add": "x", "rows": [2, 1], "log": "%s"}',
-    "a row below the first": b'{"add": "x", "rows": [-1, 1], "log": "%s"}',
-    "half a row": b'{"add": "x", "rows": [0.5, 1], "log": "%s"}',
-    "true for a row": b'{"add": "x", "rows": [true, true], "log": "%s"}',
     "a row of many digits": b'{"add": "x", "rows": [1, ' + b"9" * 5000 + b'], "log": "%s"}',
-    "an empty name": b'{"add": " ", "rows": [1, 2], "log": "%s"}',
     "a name with a terminal's control codes": b'{"add": "\\u001b[2J", "rows": [1, 2], "log": "%s"}',
-    "a number for a name": b'{"add": 5, "rows": [1, 2], "log": "%s"}',
-    "no UTF-8": b'{"add": "\xff\xfe", "rows": [1, 2], "log": "%s"',
     "nested without end": b"[" * 100_000,
 }
 
