@@ -74,11 +74,6 @@ def open_wheels(project: Path) -> list[OpenWheel]:
     return sorted(wheels, key=lambda wheel: wheel.key, reverse=True)
 
 
-def new_key() -> str:
-    """A unique name for a wheel; names sort by time."""
-    return f"{time.time_ns() // 1_000_000:013d}-{secrets.token_hex(4)}"
-
-
 @contextlib.contextmanager
 def announced(wheel: OpenWheel) -> Iterator[None]:
     """List a wheel until the context ends or the process dies. Without a cache folder, it is not listed."""
@@ -145,7 +140,7 @@ class Wheel:
     def __init__(self, title: str, log: Path, about: Mapping[str, object]) -> None:
         """`about` is the message "hello" to each page that connects."""
         self._title, self._log = title, log
-        self.key = new_key()
+        self.key = f"{time.time_ns() // 1_000_000:013d}-{secrets.token_hex(4)}"  # names sort by time
         self.control_came = threading.Event()  # set until the loop gets the newest control
         self._hello = json.dumps({"type": "hello", "title": title, "log": str(log), **about}, allow_nan=False)
         self._token = secrets.token_urlsafe(24)

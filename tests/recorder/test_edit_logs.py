@@ -19,7 +19,6 @@ from recorder import Log, LogError, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags, tags_path
 from recorder.topics import ROW_TOPICS
-from recorder.upkeep.check import check
 from recorder.upkeep.edit import merge, rows_between, split, trim, trim_times
 from recorder.upkeep.recover import recover
 from tests.helpers.layouts import Layout, mixed, two_kinds
@@ -125,20 +124,6 @@ def test_an_unfinished_log_is_recovered_up_to_its_last_whole_chunk(tmp_path: Pat
     ]
     assert reason == "stretches of unreadable bytes"
     assert where.endswith(f" to {part.stat().st_size:,}")
-
-
-@BOTH_LAYOUTS
-def test_a_log_that_was_killed_at_any_chunk_is_sound_when_it_is_recovered(tmp_path: Path) -> None:
-    """Its last row may have a picture, and no steering yet. Before the first steering, there is nothing but
-    pictures: they are kept, and it is told what they are."""
-    whole = drive(tmp_path / "a.mcap", range(20))
-    chunks = contents(whole).chunks
-    part, to = tmp_path / "a.mcap.0a1b2c.part", tmp_path / "b.mcap"
-    for chunk in chunks:
-        part.write_bytes(whole.read_bytes()[: chunk.end])
-        done = recover(part, to, overwrite=True)
-        kinds = {kind for kind, _ in check(to, look=False).findings}
-        assert kinds == (set() if done.rows else {"stretches of pictures without a row"}), chunk.start
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
