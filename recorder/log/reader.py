@@ -63,9 +63,9 @@ class Message:
 class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
-    `salvages`: for a recovery, also find whole chunks in wrong places. `shows_progress`:
-    show a progress bar while the log is read, at the first use of messages. Raises LogError if the file is
-    missing, damaged or not an MCAP file.
+    `salvages`: for a recovery, also find whole chunks in wrong places. `shows_progress`: show a progress bar while
+    the log is read, at the first use of messages. Raises LogError if the file is missing, damaged or not an MCAP
+    file.
     """
 
     def __init__(self, path: Location | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
