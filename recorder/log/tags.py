@@ -197,6 +197,9 @@ def _append_lines(path: Path, lines: bytes) -> None:
                 os.fsync(stream.fileno())
             except BaseException:
                 stream.truncate(len(whole))
+                if not whole:
+                    with contextlib.suppress(OSError):  # Windows does not remove open files
+                        path.unlink()
                 raise
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
