@@ -15,11 +15,10 @@ exists; otherwise it removes the new files.
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 from common.files import final_path, part_path, publish
 from common.interrupts import uninterrupted
@@ -59,22 +58,21 @@ def finish_interrupted_build(index: Path) -> None:
     before."""
     for path in sorted(index.iterdir()):
         name = final_path(path).name
-        if name == _STAGE and path.name != name and path.is_dir() and not path.is_symlink():
-            folders = (path / _OLD, path / FRAMES_FOLDER)
+        if name == _STAGE and path.name != name:
             with uninterrupted():
-                if all(folder.is_dir() and not folder.is_symlink() for folder in folders):
+                if (path / _OLD).exists():
                     _publish_all(path, index)
                 shutil.rmtree(path, ignore_errors=True)
 
 
 def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
-    """The frames files of the toolkit that belong to none of these sessions, and the unfinished files of killed
-    builds of older versions."""
-    try:
-        files = sorted((index / FRAMES_FOLDER).iterdir())
-    except OSError:
-        return []
-    return [file for file in files if file.name.removesuffix(".parquet") not in sessions and _is_ours(file)]
+    """The frames files of the toolkit that belong to none of these sessions."""
+    return [
+        file
+        for file in sorted((index / FRAMES_FOLDER).glob("*.parquet"))
+        if file.stem not in sessions
+        and (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}
+    ]
 
 
 def _publish_all(stage: Path, index: Path) -> None:
@@ -108,38 +106,10 @@ def _publish_all(stage: Path, index: Path) -> None:
     shutil.rmtree(stage, ignore_errors=True)
 
 
-def _is_ours(file: Path) -> bool:
-    if file.is_symlink() or not file.is_file():
-        return False
-    if (final := final_path(file)) != file and final.suffix == ".parquet":
-        return True
-    return (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}
-
-
 @contextlib.contextmanager
 def build_lock(index: Path) -> Iterator[None]:
-    """Lock the index during a build. If the build fails and there was no index before, the created folders are
-    removed."""
-    created = [folder for folder in (index, *index.parents) if not folder.exists()]
-    with _locked(index) as stream:
-        try:
-            yield
-        finally:
-            if not (index / SAMPLES_NAME).exists():
-                with contextlib.suppress(OSError):  # other files are in the folder, or Windows: the lock is open
-                    Path(stream.name).unlink()
-                    for folder in created:
-                        folder.rmdir()
-
-
-def _locked(index: Path) -> IO[bytes]:
-    """Open and lock the lock's file. It stays locked until it is closed."""
-    path = index / ".lock"
-    while True:
-        index.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as stack, contextlib.suppress(FileNotFoundError):
-            stream = stack.enter_context(path.open("ab"))
-            lock(stream)
-            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
-                stack.pop_all()
-                return stream
+    """Lock the index during a build."""
+    index.mkdir(parents=True, exist_ok=True)
+    with (index / ".lock").open("ab") as stream:
+        lock(stream)
+        yield

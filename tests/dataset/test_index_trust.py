@@ -16,9 +16,7 @@ import pytest
 from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, sessions_not_indexed
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
-from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_table import frames_table
-from dataset.frames.image_check_cache import read_image_check, write_image_check
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from tests.helpers.driving import Process
@@ -136,17 +134,6 @@ def test_a_link_in_the_index_is_not_followed(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="not a plain folder"):
         build_index([path], tmp_path / "index")
     assert sorted(file.name for file in other.rglob("*")) == before
-
-
-def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
-    write_image_check(tmp_path, "other", "f", ImageFindings(3, {}, {}))
-    other, link = (tmp_path / "looks" / f"{name}.json" for name in ("other", "a"))
-    before = other.read_bytes()
-    link.symlink_to(other)
-    assert read_image_check(tmp_path, "a", "f") is None
-    write_image_check(tmp_path, "a", "f", ImageFindings(4, {}, {}))
-    assert other.read_bytes() == before
-    assert read_image_check(tmp_path, "a", "f") == ImageFindings(4, {}, {})
 
 
 # What lies
