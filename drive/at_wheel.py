@@ -15,7 +15,6 @@ from recorder.sources.eye_pictures import EyeMoment, EyePictures
 from recorder.teleop.cockpit import Cockpit, Recording
 from recorder.teleop.wheel import Request, Wheel
 
-MAX_LISTED: Final = 1000  # takeovers that the page lists at the end
 PUT_BACK: Final = "the person puts the car back on its line"
 _POLL_S: Final = 0.1  # while it waits for the page
 
@@ -78,7 +77,7 @@ class AtWheel(Cockpit):
             takeovers=self._counted,
         )
         self.recording.add(round(state.time_s * 1e9), row)
-        if is_human and not self._was_human and len(self._takeovers) < MAX_LISTED:
+        if is_human and not self._was_human:
             self._takeovers.append({"row": row, "time_s": round(state.time_s, 2)})
         self._was_human = is_human
         if world is not None and world.laps is not None:

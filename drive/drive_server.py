@@ -30,8 +30,6 @@ MAX_SIMULATORS: Final = 8
 itself."""
 WAITING: Final = "connected, waiting for telemetry"
 MENU: Final = "connected, but no telemetry comes: choose Autonomous Mode in the simulator"
-MAX_CONNECTION_NOTICES: Final = 3
-"""If a simulator connects again and again, only this many connections get notices; then a last notice follows."""
 BRAKING_S: Final = 5.0
 """Time limit for braking at the end. From 30 mph, the car stands in under 3 s."""
 
@@ -150,7 +148,7 @@ class DriveServer:
             session.disconnected(reason)
             for other in self._driven.values():
                 session.hand_wheel_to(other)
-            if self._track is None and session.connections <= MAX_CONNECTION_NOTICES:
+            if self._track is None:
                 frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
                 self.notify(f"disconnected ({reason}): {frames}" + ("" if self._driven else "; waiting"))
 
@@ -241,15 +239,11 @@ class DriveServer:
         session = free[0] if free else self._open_session(log_beside(self._log, taken), overwrite=False)
         self._driven[sid] = session
         session.connected()
-        if session.connections <= MAX_CONNECTION_NOTICES:
-            self._notified -= {WAITING, MENU}
+        self._notified -= {WAITING, MENU}
         if self._stopping_since_s is not None:
             self._brake(session)
         if not session.is_empty:
-            if session.connections <= MAX_CONNECTION_NOTICES:
-                self.notify(f"connected again: {session.writer.path} continues")
-            elif session.connections == MAX_CONNECTION_NOTICES + 1:
-                self.notify("it connects again and again: no more notices of this; the log has the events")
+            self.notify(f"connected again: {session.writer.path} continues")
         elif session is not self.session:
             self.notify(
                 f"a second simulator has connected: it is driven, too, and logged to {session.writer.path};"

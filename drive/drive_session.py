@@ -34,9 +34,6 @@ FORGET_S: Final = 60.0
 SILENT_S: Final = 0.2
 """The silence of a braking simulator after which the brake, and its release, are sent without telemetry."""
 
-STABLE_S: Final = 10.0
-"""A connection of this length is stable."""
-
 _NEUTRAL: Final = Steer(0.0, 0.0)
 
 
@@ -74,9 +71,6 @@ class DriveSession:
         self._unpaid = 0  # commands that answered no message, minus messages left unanswered for them
         self._is_stopping = self._was_braking = False
         self.is_connected = False
-        self._connected_s = 0.0
-        self.connections = 0
-        """The number of connections since the last stable one."""
         self.rolling_reason = ""
         """The reason why the car may still roll at the end of a drive; empty if it stands."""
         self.is_at_rest = False
@@ -89,15 +83,11 @@ class DriveSession:
         self._last_steer, self._unpaid = _NEUTRAL, 0
         self._note_telemetry()
         self.is_connected, self._is_stopping = True, False
-        self.connections += 1
-        self._connected_s = time.monotonic()
         self.summary.connected()
         self.log.event("connected")
 
     def disconnected(self, reason: str) -> None:
         self.is_connected = False
-        if time.monotonic() - self._connected_s >= STABLE_S:
-            self.connections = 0
         self.log.disconnected(reason)
 
     def telemetry(self, data: object, received_s: float, in_flight: int = 1) -> Answer:

@@ -14,7 +14,6 @@ import tyro
 from common import UserError
 from common.command import check_port, flags_given
 from common.errors import UsageError
-from common.untrusted import real_path
 from recorder.log_flag import LogFlag
 
 
@@ -113,16 +112,14 @@ def check_viewer_flags(config: Play) -> None:
 
 
 def _refuse_unusable_names(config: Play) -> None:
-    """Raise UserError for a file that would replace a log that is read, or another written file, and UsageError
-    for a name without the suffix of its format."""
+    """Raise UserError for a file that would replace a log that is read, and UsageError for a name without the
+    suffix of its format."""
     files = ("--save", ".rrd", config.save), ("--video", ".mp4", config.video), ("--write", ".mcap", config.write)
-    written = [(flag, suffix, path) for flag, suffix, path in files if path is not None]
-    for at, (flag, _, path) in enumerate(written):
+    for flag, suffix, path in files:
+        if path is None:
+            continue
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
             raise UserError(f"{flag} {path}: is the log itself, which must not change; give another name")
-        if any(real_path(path) == real_path(other) for *_, other in written[:at]):
-            raise UsageError(f"{flag} {path}: two files would have this name; give another name")
-    for flag, suffix, path in written:
         if path.suffix.lower() != suffix:
             raise UsageError(f"{flag} {path}: it writes an {suffix} file; give a name that ends in {suffix}")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from common.errors import counted
-from drive.log.drive_summary import DriveSummary
+from drive.log.drive_summary import DriveSummary, percentiles_ms
 
 MAX_KINDS: Final = 5
 """Maximum number of named kinds of unusable messages or pictures."""
@@ -33,7 +33,10 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         lowest_mph, highest_mph = summary.wanted_mph
         lines.append(f"the network wanted {lowest_mph:.1f} to {highest_mph:.1f} mph")
     if summary.frames:
-        stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
+        stages = [
+            f"{stage} {'/'.join(f'{ms:.2f}' for ms in percentiles_ms(times_ms))}"
+            for stage, times_ms in summary.times_ms.items()
+        ]
         lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}{_in_flight(summary)}")
     if summary.pushes:
         times = counted(summary.pushes, "command")

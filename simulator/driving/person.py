@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from simulator.driving.course import Course
+from simulator.driving.drive_limits import DriverName
 from simulator.driving.expert import Expert
 from simulator.roads.centreline import Centreline
 
@@ -213,3 +214,17 @@ class MouseDriver(Person):
     def _begin(self, down_s: float, wanted: float) -> Drag:
         target = self._about(_GAIN * wanted, _GAIN_SPREAD)
         return Drag(target, down_s, down_s + self._about(_HELD_S, _HELD_SPREAD))
+
+
+_DRIVERS: Final[dict[DriverName, type[Expert | KeyboardDriver | MouseDriver]]] = {
+    "expert": Expert,
+    "keyboard": KeyboardDriver,
+    "mouse": MouseDriver,
+}
+
+
+def make_driver(
+    name: DriverName, line: Centreline, set_speed_mph: float, noise: float, seed: int
+) -> Expert | KeyboardDriver | MouseDriver:
+    """A driver of the road ``line``. Raises ValueError for a speed of 0 or less, or a negative noise."""
+    return _DRIVERS[name](line, set_speed_mph, noise, seed)

@@ -239,9 +239,6 @@ def test_a_log_is_never_written_over(
         assert call(main, log, *flags, tmp_path / name, "--force") == 1
         assert f"{flags[-1]} {tmp_path / name}: is the log itself" in capsys.readouterr().err
     assert log.read_bytes() == (project / "session.mcap").read_bytes()
-    both = tmp_path / "both"
-    assert call(main, log, "--run", "first", "--save", both, "--write", both) == 2
-    assert f"--write {both}: two files would have this name" in capsys.readouterr().err
 
 
 # Logs that are not as they should be

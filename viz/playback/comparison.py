@@ -95,17 +95,12 @@ def prepare_comparison(
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each log: its file's name; for equal names also its folder's, or a number."""
-    names: list[str] = []
+    """A name for each log: its file's name; for equal names its path."""
     stems = [path.name.removesuffix(".mcap") for path in paths]
-    for path, stem in zip(paths, stems, strict=True):
-        name = stem if stems.count(stem) == 1 else f"{path.absolute().parent.name}/{stem}"
-        numbers = iter(range(2, len(paths) + 2))
-        unique = name
-        while unique in names:
-            unique = f"{name} ({next(numbers)})"
-        names.append(unique)
-    return names
+    return [
+        stem if stems.count(stem) == 1 else str(path).removesuffix(".mcap")
+        for path, stem in zip(paths, stems, strict=True)
+    ]
 
 
 def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clock]:
