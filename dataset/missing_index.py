@@ -45,7 +45,6 @@ def other_folder(index: Path) -> str:
 
 
 def refuse_file(index: Path) -> None:
-    """Raise DatasetError for the path of a file: an index is a folder."""
     for place in (index, *index.parents):
         if place.is_file():
             raise DatasetError(

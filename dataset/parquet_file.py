@@ -35,10 +35,10 @@ def read_metadata(path: Path) -> dict[str, Any] | None:
     """The index's metadata in a parquet file; None if the file is missing, damaged or of another program."""
     try:
         stored = read_schema(path).metadata or {}
-        loaded = json.loads(stored[METADATA_KEY])
-    except (OSError, ValueError, KeyError, pa.ArrowException, RecursionError):
+        loaded: dict[str, Any] = json.loads(stored[METADATA_KEY])
+    except (OSError, ValueError, KeyError, pa.ArrowException):
         return None
-    return loaded if isinstance(loaded, dict) else None
+    return loaded
 
 
 def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:

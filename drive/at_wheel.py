@@ -59,7 +59,6 @@ class AtWheel(Cockpit):
         return True
 
     def show(self, decision: Decision, row: int) -> None:
-        """Show an answered telemetry message, row `row` of the log."""
         if (telemetry := decision.telemetry) is None:
             return
         world = telemetry.world
@@ -98,6 +97,5 @@ class AtWheel(Cockpit):
         return tags
 
     def end(self, log: Path, rows: int) -> None:
-        """Tell the page that the drive has ended and its log is finished."""
         why = f"the drive has ended{self._driven}"
         self.wheel.end({"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": why})

@@ -133,7 +133,6 @@ def _program(name: str) -> str:
 
 
 def _run(command: str, folder: Path) -> int:
-    """Run a command to its end. Returns its exit code. Raises UserError if it fails."""
     name, *arguments = shlex.split(command)
     process = subprocess.Popen([_program(name), *arguments], cwd=folder)
     try:

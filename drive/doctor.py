@@ -57,8 +57,6 @@ def examine() -> Diagnosis:
 
 @dataclass(frozen=True)
 class _Commands:
-    """Suggested commands, the most important list first."""
-
     mend: list[Advice] = field(default_factory=list)
     begin: list[Advice] = field(default_factory=list)
     learn: list[Advice] = field(default_factory=list)
@@ -75,7 +73,6 @@ class _Commands:
 
 
 def _logs(name: str, diagnosis: Diagnosis, wanted: _Commands) -> list[LogInfo]:
-    """The readable logs of a folder."""
     logs = [path for path in logs_in(Path(name)) if not is_being_written(path)]
     infos: list[LogInfo] = []
     broken: list[Path] = []
@@ -191,7 +188,6 @@ _Result = TypeVar("_Result")
 
 
 def _tried(read: Callable[[], _Result], place: Path, diagnosis: Diagnosis) -> _Result | None:
-    """The result of `read`; None if it fails, with a problem that names `place`."""
     try:
         return read()
     except Exception as error:

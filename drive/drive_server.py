@@ -93,7 +93,6 @@ class DriveServer:
 
     @property
     def no_drive_reason(self) -> str:
-        """The reason for a drive without telemetry, and the remedy."""
         if self._connections:
             return "a simulator connected, but sent no telemetry; choose its Autonomous Mode"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
@@ -125,7 +124,6 @@ class DriveServer:
             raise self._failure
 
     def stop(self) -> None:
-        """Brake every car to a stand from now on."""
         self._stopping_since_s = time.monotonic()
         for session in self._driven.values():
             self._brake(session)
@@ -233,7 +231,6 @@ class DriveServer:
             return None
 
     def _session_for(self, sid: str) -> DriveSession:
-        """The session for a client that sends its first telemetry since its connection."""
         free = [session for session in self.sessions if not session.is_connected]
         taken = {session.writer.path for session in self.sessions}
         session = free[0] if free else self._open_session(log_beside(self._log, taken), overwrite=False)

@@ -51,7 +51,6 @@ class DriveSession:
         notify: Callable[[str], None] = lambda text: None,
         at_wheel: AtWheel | None = None,
     ) -> None:
-        """`at_wheel` lets a person take over from the network."""
         self._notify = notify
         self.writer = writer
         self.log = DriveLog(writer)
@@ -110,7 +109,6 @@ class DriveSession:
         )
 
     def unanswered(self, data: object, received_s: float) -> None:
-        """Log a telemetry message that is left unanswered."""
         self._note_telemetry()
         self._unpaid = max(0, self._unpaid - 1)
         self.summary.unanswered += 1
@@ -119,7 +117,6 @@ class DriveSession:
             self.log.decision(self._driver.read(data), (time.perf_counter() - received_s) * 1e3)
 
     def first_command_sent(self) -> None:
-        """Note a command that was sent before the first telemetry."""
         self.summary.pushes += 1
         self.log.event("no telemetry for a second after the connection: 0,0 was sent, to make the simulator begin")
 
@@ -167,13 +164,11 @@ class DriveSession:
             self._notify(text)
 
     def note_silence(self) -> None:
-        """Let the page of the person at the wheel show that the simulator is silent, or has gone."""
         if self._at_wheel is not None:
             self._at_wheel.wheel.note_silence(self.silent_s, is_connected=self.is_connected)
 
     @property
     def is_end_asked(self) -> bool:
-        """True after the person at the wheel has requested the end of the drive."""
         return self._at_wheel is not None and self._at_wheel.is_ended
 
     @property
@@ -182,7 +177,6 @@ class DriveSession:
         return self._clock.tick() - self._last_telemetry_s
 
     def stop(self) -> None:
-        """Brake the car to a stand from now on."""
         self._driver.stop()
         self._is_stopping, self.is_at_rest = True, False
         self._was_braking, self.stop_notice = False, ""
@@ -206,7 +200,6 @@ class DriveSession:
         return text
 
     def add_metadata(self, record: str, values: dict[str, str]) -> None:
-        """Add a metadata record, which is written at the end of the log."""
         self._metadata[record] = values
 
     def __enter__(self) -> Self:

@@ -44,7 +44,6 @@ def _prepare_rerun() -> None:
 
 
 def _show_or_save(config: Play, content: FinishedContent | GrowingLogContent) -> int:
-    """Show the content, or write it to a file. Returns the exit code."""
     if config.save is None:
         code = content.show(_destination(config))
         if code in (DONE, DONE_BUT_SKIPPED) and not config.follow:
@@ -171,7 +170,6 @@ def _play_predicted(config: Play) -> int:
 
 
 def _report_predictions(config: Play, predictions: LogPredictions) -> int:
-    """Write the predictions to --write, if given, and print their summaries. Returns the exit code."""
     from viz.playback.prediction_log import write_predictions
 
     if config.write is not None:
@@ -183,7 +181,6 @@ def _report_predictions(config: Play, predictions: LogPredictions) -> int:
 
 
 def _warn_unfinished(notice: str) -> int:
-    """Print the notice of a log that was never finished. Returns the exit code."""
     return warn(notice) if notice else DONE
 
 

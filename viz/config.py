@@ -65,7 +65,6 @@ class Play:
 
     @property
     def log(self) -> Path:
-        """The only log, or the first of several."""
         return self.logs[0]
 
 
@@ -78,7 +77,6 @@ def check_files(config: Play) -> None:
 
 
 def check_video_flags(config: Play) -> None:
-    """Raise UsageError for flags that contradict --video."""
     if len(config.logs) != 1:
         raise UsageError("--video shows one log: give one")
     others = ("save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at")
@@ -87,7 +85,6 @@ def check_video_flags(config: Play) -> None:
 
 
 def check_viewer_flags(config: Play) -> None:
-    """Raise UsageError for flags that contradict each other when logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):

@@ -38,8 +38,6 @@ _MIN_TOP_MPH, _MAX_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
 
 
 class Readings:
-    """The vehicle states and commands of a log by time."""
-
     def __init__(self, log: Log) -> None:
         """Raises LogError if the log is damaged."""
         self._begin_ns = log.time_range_ns[0]
@@ -75,8 +73,6 @@ class Readings:
 
 
 class _Rows:
-    """Numbers of the messages on a topic, by time."""
-
     def __init__(self, log: Log, topic: str, *fields: str) -> None:
         table = log.numbers(topic, fields)
         times_ns = table["log_time_ns"].to_numpy()
@@ -142,8 +138,6 @@ class Video:
 
 @dataclass(frozen=True)
 class Schedule:
-    """The pictures of a video, and their times."""
-
     numbers: NDArray[np.int64]
     ticks: NDArray[np.int64]  # at which each picture appears
     end: int  # tick at which the last picture ends
@@ -157,7 +151,6 @@ class Schedule:
 
 
 def check_speed(speed: float) -> None:
-    """Raise UserError for a speed outside MIN_SPEED..MAX_SPEED."""
     if not MIN_SPEED <= speed <= MAX_SPEED:
         raise UserError(f"--speed {speed:g}: expected a number from {MIN_SPEED:g} to {MAX_SPEED:g}")
 

@@ -96,7 +96,6 @@ def log_place(name: str, index: Path) -> Location:
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
-    """The settings on which the frames of a session depend."""
     return {
         "bins": config.bins,
         "block_s": config.block_s,
@@ -129,7 +128,6 @@ class Extent:
 
 
 def extent_of(path: Path) -> Extent:
-    """The extent of a frames file. Raises FramesError if the file is missing or damaged."""
     times_ns = read_frames(path, ("log_time_ns",))["log_time_ns"]
     bounds = pc.min_max(times_ns).as_py()
     return Extent(len(times_ns), bounds["min"] or 0, bounds["max"] or 0)

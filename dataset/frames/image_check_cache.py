@@ -114,7 +114,6 @@ def _check_log(
     threads: int | None,
     on_decoded: Callable[[int], object] = lambda count: None,
 ) -> LogError | None:
-    """Check a log's pictures and write the results; returns the error if the log cannot be read."""
     try:
         with Log(path) as log:
             write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))

@@ -28,8 +28,6 @@ Sources = tuple[str, Stat, Stat, Stat]
 
 
 class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The state of a log when the index was built."""
-
     sources: Sources  # taken before the log was read, so that the next build notices later changes
     fingerprint: str = ""  # of the content; "" if the log was left out
     file: str = ""  # fingerprint of the file, on which the places of the pictures depend

@@ -108,7 +108,6 @@ def _publish_all(stage: Path, index: Path) -> None:
 
 @contextlib.contextmanager
 def build_lock(index: Path) -> Iterator[None]:
-    """Lock the index during a build."""
     index.mkdir(parents=True, exist_ok=True)
     with (index / ".lock").open("ab") as stream:
         lock(stream)

@@ -91,7 +91,6 @@ class SessionCounts:
 
     @property
     def not_learnt(self) -> dict[str, int]:
-        """The frames left out by each cause of `NOT_LEARNT`."""
         counts = (self.crashed, self.backwards, self.manoeuvring, self.parked)
         return dict(zip(NOT_LEARNT, counts, strict=True))
 
@@ -112,8 +111,6 @@ COUNT_HEADINGS: Final = {
 
 @dataclass(frozen=True)
 class SessionLabels:
-    """The steering habits of a session, and the plan of its labels."""
-
     habits: SteeringHabits
     lag: SteeringLag | None  # None: not measured, or not measurable
     plan: LabelPlan

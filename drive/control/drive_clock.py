@@ -64,7 +64,6 @@ class CourseEvents:
         self._whole_laps: int | None = None
 
     def update(self, world: World) -> list[str]:
-        """The events since the last call."""
         events = []
         if world.interventions is not None:
             if self._interventions is not None and world.interventions > self._interventions:

@@ -241,7 +241,6 @@ class Driver:
             self._decimal_separator = decimal_separator
 
     def _world_events(self, world: World | None, problems: Sequence[str]) -> list[str]:
-        """The events of the course, and notices about invalid members of the world."""
         events = [] if world is None else self._course.update(world)
         return events + self._world_notices.new_notices(problems, clock_stands=self._clock.stands)
 

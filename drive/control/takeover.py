@@ -104,8 +104,6 @@ class Takeover:
 
 
 class PersonTakeover:
-    """Chooses the driver: the network, or the person at a wheel."""
-
     def __init__(self, cockpit: Cockpit) -> None:
         self._cockpit = cockpit
         self.person_drives = False
@@ -137,6 +135,5 @@ class PersonTakeover:
         return [PILOT_DRIVES]
 
     def command(self, speed_mph: float | None) -> tuple[float, float]:
-        """Steering and throttle of the person. `speed_mph` is the car's speed, None if unknown."""
         control = self._cockpit.control
         return control.steering, throttle_of_telemetry(control, math.nan if speed_mph is None else speed_mph)

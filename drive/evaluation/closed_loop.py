@@ -54,7 +54,6 @@ class BuiltInSimulator:
 
 
 def check_laps(laps: float) -> None:
-    """Raise DriveError for a number of laps that cannot be driven."""
     if not 0 < laps <= MAX_LAPS:
         raise DriveError(f"--laps {laps:g}: give a number above 0 and up to {MAX_LAPS:,}")
 

@@ -59,11 +59,9 @@ class LogThread:
 
     @property
     def has_room(self) -> bool:
-        """True if the queue has room for another row or event."""
         return self._put_count - self._done_count < MAX_WAITING
 
     def has_room_for(self, picture_bytes: int) -> bool:
-        """True if the queue has room for `picture_bytes` of pictures."""
         return self._put_bytes - self._done_bytes + picture_bytes <= MAX_PICTURE_BYTES
 
     def put(self, write: Callable[[], None], picture_bytes: int = 0) -> None:

@@ -131,7 +131,6 @@ class DriveSummary:
             self._course(telemetry.world)
 
     def manual(self, total_ms: float, now_s: float | None = None) -> None:
-        """Count a telemetry message while a human drives."""
         self.driven_s += self._answered(total_ms, now_s, None)
         self.is_braked = False
         if self.driver != "human":
@@ -154,7 +153,6 @@ class DriveSummary:
 
     @property
     def no_drive_reason(self) -> str:
-        """The reason for a drive that is all lost, and the remedy."""
         if self.without_number:
             return "the network gave no number; drive with another run"
         if not self.bad:
@@ -187,7 +185,6 @@ class DriveSummary:
 
     @property
     def clock(self) -> Literal["simulator", "computer", "both"]:
-        """The clock, or clocks, of `elapsed_s`."""
         if not self.simulated_s:
             return "computer"
         # a smaller difference is rounding

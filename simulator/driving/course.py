@@ -33,8 +33,6 @@ _STUCK_PROGRESS_M = 1.0
 
 @dataclass(frozen=True)
 class CourseMeasures:
-    """The measures of a drive, from its start to now."""
-
     elapsed_s: float
     distance_m: float  # driven, forwards and in reverse
     laps: float
@@ -114,7 +112,6 @@ class Course:
 
     @property
     def half_width_m(self) -> float:
-        """Half the width of the road at the car's place."""
         point: int = round(self.arc_m / self.line.step_m)
         return self._half_width_m[point % len(self._half_width_m)]
 

@@ -204,7 +204,6 @@ def _has_predictions(topics: Collection[str]) -> bool:
 
 
 def _upright(parts: Sequence[Shared]) -> Part | None:
-    """The parts, one above the other."""
     if not parts:
         return None
     return rrb.Vertical(*(part for part, _ in parts), row_shares=[share for _, share in parts])

@@ -55,7 +55,6 @@ class _ComparedLog:
 
 
 def check_count(paths: Sequence[Path]) -> None:
-    """Raise UserError for too many logs."""
     if len(paths) > MAX_LOGS:
         raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
 

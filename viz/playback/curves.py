@@ -292,7 +292,6 @@ def frame_size(picture: bytes) -> tuple[int, int] | None:
 
 
 def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
-    """Frames by steering, in equal bins over -1..1."""
     bins = len(counts)
     middles = (np.arange(bins) + 0.5) * 2 / bins - 1
     widths = np.full(bins, 0.9 * 2 / bins, np.float32)
