@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.tags import EXCLUDE
-from recorder.rows.causes import PICTURE_FLAGS, ROW_FLAGS
 from recorder.rows.condition import lists_with
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding
-
-FRAME_FLAGS: Final = (*ROW_FLAGS, *PICTURE_FLAGS)
 
 Stretches = tuple[tuple[int, int], ...]
 """First and last position of each stretch, in ascending order and without overlap."""

@@ -139,10 +139,6 @@ def _process(
             process.wait()
 
 
-DRIVES: Final = Path("drives")
-"""The default folder of the drives' logs."""
-
-
 PlannedDrive = tuple[BuiltInSimulator, DriveConfig]
 
 

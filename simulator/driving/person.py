@@ -70,20 +70,16 @@ class Person(ABC):
     """The median wanted steering, as a share of full lock, from which the hands act."""
 
     def __init__(self, line: Centreline, set_speed_mph: float, noise: float = 0.0, seed: int = 0) -> None:
-        self._wish = Expert(line, set_speed_mph, noise, seed, self.look_ahead_s)
+        self.wish = Expert(line, set_speed_mph, noise, seed, self.look_ahead_s)
         self._random = np.random.default_rng([seed, 1])  # independent of the expert's, whose seed is `seed`
         self._time_s = -math.inf
         self._next_look_s = -math.inf
         self.act: Act | None = None
         """The current or the last act of the hands; None before the first act."""
 
-    def wish(self, course: Course) -> tuple[float, float]:
-        """The wanted command for the course's current state, without the limits of the hands."""
-        return self._wish.control(course)
-
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's current state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
-        wanted, throttle = self._wish.control(course)
+        wanted, throttle = self.wish.control(course)
         now_s = course.time_s
         if not 0.0 <= now_s - self._time_s <= _NEW_DRIVE_S:
             self.act = None  # the hands start at rest
