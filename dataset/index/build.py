@@ -43,7 +43,7 @@ from dataset.index.duplicates import shared_standing_rows
 from dataset.index.log_entries import log_entries
 from dataset.index.session_labels import labels_of_sessions
 from dataset.index.sessions import by_session_name
-from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
+from dataset.index.staging import build_lock, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
@@ -113,7 +113,6 @@ def build_index(
     check_settings(list(by_name.values()), index, config)
     build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks)
     with build_lock(index):
-        finish_interrupted_build(index)
         state, damaged = read_state(index), dict[str, str]()
         while True:
             try:
