@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 
 from common import atomic_file
 
-METADATA_KEY: Final = b"bc.index"
-"""The key of the metadata in each parquet file of an index."""
+METADATA_KEY: Final = b"bc.index"  # the key of the metadata in each parquet file of an index
 
 MAX_METADATA_BYTES: Final = 1 << 30
 """The metadata of 100,000 sessions has 130 MB; by default, Parquet's readers accept at most 100 MB."""

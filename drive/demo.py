@@ -43,8 +43,7 @@ class Demo:
     """Share of each track's lap that is recorded."""
 
 
-_MADE: Final = ("sessions", "index", "runs", "drives")
-"""The folders that the demo's commands make."""
+_MADE: Final = ("sessions", "index", "runs", "drives")  # the folders that the demo's commands make
 
 
 def commands_of(config: Demo) -> list[str]:

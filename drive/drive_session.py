@@ -28,8 +28,7 @@ WATCHDOG_S: Final = 1.0
 command. The time grows by this value for each such command of the last minute, minus the messages left unanswered
 for them. Otherwise, a simulator with longer steps would get a further command in each step."""
 
-FORGET_S: Final = 60.0
-"""The time after which a command of the watchdog does not count any more."""
+FORGET_S: Final = 60.0  # the time after which a command of the watchdog does not count any more
 
 SILENT_S: Final = 0.2
 """The silence of a braking simulator after which the brake, and its release, are sent without telemetry."""
@@ -74,8 +73,7 @@ class DriveSession:
         """The reason why the car may still roll at the end of a drive; empty if it stands."""
         self.is_at_rest = False
         """True when the car stands or, if its speed is unknown, when the brake has ended."""
-        self.stop_notice = ""
-        """The notice of the braking; empty until the brake has been sent."""
+        self.stop_notice = ""  # the notice of the braking; empty until the brake has been sent
 
     def connected(self) -> None:
         self._driver = self._new_driver(self._driver.reported_size)

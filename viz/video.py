@@ -105,8 +105,7 @@ def _percent(text: str) -> float:
 
 TICKS_A_SECOND: Final = 60
 """Times of pictures are rounded to a sixtieth of a second, which is enough for every screen and player."""
-HELD_S: Final = 0.5
-"""Seconds for which the last picture before a gap stays, instead of the gap."""
+HELD_S: Final = 0.5  # seconds for which the last picture before a gap stays, instead of the gap
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 _MIN_WIDTH, _MAX_SIDE, _MIN_SIDE = 640, 1920, 64
@@ -124,16 +123,11 @@ class Video:
     duration_s: float
     width: int
     height: int
-    left_out: int
-    """Pictures left out because another one has the same sixtieth of a second."""
-    gaps: int
-    """Gaps of more than a second, each shortened to `HELD_S`."""
-    cut_s: float
-    """Seconds of the log that the shortened gaps leave out."""
-    skipped: Skipped
-    """Pictures that are damaged or do not decode: the picture before is shown instead."""
-    notice: str
-    """A notice that the log was never finished; empty for a finished log."""
+    left_out: int  # pictures left out because another one has the same sixtieth of a second
+    gaps: int  # gaps of more than a second, each shortened to `HELD_S`
+    cut_s: float  # seconds of the log that the shortened gaps leave out
+    skipped: Skipped  # pictures that are damaged or do not decode: the picture before is shown instead
+    notice: str  # a notice that the log was never finished; empty for a finished log
 
 
 @dataclass(frozen=True)

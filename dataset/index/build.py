@@ -27,7 +27,7 @@ from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
-from dataset.frames.frames_file import FramesError, check_where, extent_of, file_if_rewritten
+from dataset.frames.frames_file import check_where, extent_of, file_if_rewritten
 from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import (
     FRAMES_FOLDER,
@@ -57,10 +57,6 @@ _Contents = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """The balance, and the counts and labels of each session."""
 
 MAX_NAMES: Final = 8
-
-
-class _StaleStateError(Exception):
-    """A file has changed although its size and time have not, or it has changed during the build."""
 
 
 @dataclass(frozen=True)
@@ -113,12 +109,10 @@ def build_index(
     check_settings(list(by_name.values()), index, config)
     build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks)
     with build_lock(index):
-        state, damaged = read_state(index), dict[str, str]()
+        damaged = dict[str, str]()
         while True:
             try:
-                return build.run(state, damaged)
-            except _StaleStateError:
-                state = BuildState.nothing()
+                return build.run(read_state(index), damaged)
             except SessionError as error:
                 if not leave_out_unreadable or error.session in config.validation:
                     raise
@@ -185,12 +179,7 @@ class _Build:
                 frames = {
                     name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
                 }
-                try:
-                    contents = self._write(frames, samples, held, logs)
-                except (LogError, FramesError):
-                    if state.logs:
-                        raise _StaleStateError from None
-                    raise
+                contents = self._write(frames, samples, held, logs)
             if samples.parent == stage or (entries, self.passed_over) != (state.logs, state.passed_over):
                 built = BuildState(stat_of(samples), entries, self.passed_over)
                 with index_write_errors(index / STATE_NAME):

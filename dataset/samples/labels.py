@@ -26,8 +26,7 @@ from recorder.rows.row_quality import GAP_S
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, so that stretches do not influence each other."""
 
-HELD_MPH: Final = 1.0
-"""If the speed is this close to the set speed, the driver keeps the set speed."""
+HELD_MPH: Final = 1.0  # if the speed is this close to the set speed, the driver keeps the set speed
 
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]

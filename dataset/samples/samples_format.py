@@ -22,8 +22,7 @@ from recorder.rows.steering_habits import SteeringHabits, SteeringLag
 SAMPLES_NAME: Final = "samples.parquet"
 
 SAMPLES_FORMAT: Final = 5
-READABLE_FORMATS: Final = (4, 5)
-"""Format 4 has labels of steering only."""
+READABLE_FORMATS: Final = (4, 5)  # format 4 has labels of steering only
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [

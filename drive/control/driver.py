@@ -138,8 +138,7 @@ class Driver:
         person: PersonTakeover | None = None,
         reported_size: bool = False,
     ) -> None:
-        self.reported_size = reported_size
-        """True after an unusual size of pictures has been reported."""
+        self.reported_size = reported_size  # True after an unusual size of pictures has been reported
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
@@ -149,8 +148,7 @@ class Driver:
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
-        self.person = person
-        """Who may take over from the network."""
+        self.person = person  # who may take over from the network
         self._course = CourseEvents()
         self._steering = 0.0
         self._network = 0.0, 0.0  # the last steering and throttle without the person's

@@ -127,12 +127,9 @@ class DriveLog(Closeable):
     """
 
     def __init__(self, writer: LogWriter) -> None:
-        self.frames = 0
-        """Rows that are, or will be, in the log."""
-        self.dropped_pictures = 0
-        """Camera pictures and crops that are not in the log."""
-        self.dropped_rows = 0
-        """Rows and events that are not in the log."""
+        self.frames = 0  # rows that are, or will be, in the log
+        self.dropped_pictures = 0  # camera pictures and crops that are not in the log
+        self.dropped_rows = 0  # rows and events that are not in the log
         self._writer = writer
         self._clock = LogClock()
         self._thread = LogThread(writer.flush_if_due)

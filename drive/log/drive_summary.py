@@ -39,35 +39,24 @@ class DriveSummary:
     """
 
     def __init__(self) -> None:
-        self.frames = 0
-        """Usable telemetry messages."""
-        self.bad: Counter[str] = Counter()
-        """Unusable telemetry messages, by kind."""
-        self.side_problems: Counter[str] = Counter()
-        """Unusable pictures of side cameras, by kind."""
-        self.without_number = 0
-        """Frames for which the network gave no number, so the car was braked."""
-        self.manual_stretches = 0
-        """Number of times that a human took the wheel."""
-        self.takeovers = 0
-        """Number of times that the expert took over."""
-        self.put_back = 0
-        """Number of times that the simulator put the car back on the road."""
-        self.in_flight: Counter[int] = Counter()
-        """Frames, by the number of messages in flight."""
+        self.frames = 0  # usable telemetry messages
+        self.bad: Counter[str] = Counter()  # unusable telemetry messages, by kind
+        self.side_problems: Counter[str] = Counter()  # unusable pictures of side cameras, by kind
+        self.without_number = 0  # frames for which the network gave no number, so the car was braked
+        self.manual_stretches = 0  # number of times that a human took the wheel
+        self.takeovers = 0  # number of times that the expert took over
+        self.put_back = 0  # number of times that the simulator put the car back on the road
+        self.in_flight: Counter[int] = Counter()  # frames, by the number of messages in flight
         self.pushes = 0
         """Commands that answered no message, because the simulator was silent. `DriveSession` counts them."""
         self.unanswered = 0
         """Messages left unanswered, because too many were in flight. `DriveSession` counts them."""
         self.dropped_pictures = 0
         """Pictures that are not in the log, from `DriveLog`. `DriveSession` sets it at the end."""
-        self.dropped_rows = 0
-        """Rows and events that are not in the log, as `dropped_pictures`."""
+        self.dropped_rows = 0  # rows and events that are not in the log, as `dropped_pictures`
         self.elapsed_s = 0.0
-        self.simulated_s = 0.0
-        """The part of `elapsed_s` by the simulator's clock."""
-        self.driven_s = 0.0
-        """The part of `elapsed_s` with usable telemetry and without the brake."""
+        self.simulated_s = 0.0  # the part of `elapsed_s` by the simulator's clock
+        self.driven_s = 0.0  # the part of `elapsed_s` with usable telemetry and without the brake
         self.distance_m = 0.0
         self.times_ms = {stage: array("f") for stage in STAGES}
         """The response times of the frames: 4 MB in an hour at 60 frames a second."""
@@ -77,8 +66,7 @@ class DriveSummary:
         self._world: World | None = None
         self._frames_with_laps = 0
         self._laps = 0.0  # sum over frames with a lap count
-        self.telemetries = 0
-        """All answered messages: usable, unusable, and those while a human drives."""
+        self.telemetries = 0  # all answered messages: usable, unusable, and those while a human drives
         self.frames_with_interventions = 0
         """Frames whose message has the simulator's count of interventions."""
         self.speed_mph: float | None = None  # last known value, as the next three
@@ -87,12 +75,9 @@ class DriveSummary:
         self.steering = 0.0
         self.wanted_mph: tuple[float, float] | None = None
         """The lowest and the highest speed that the network answered; None if it answers no speed."""
-        self.total_ms = 0.0
-        """The sum of the response times of all messages."""
-        self.last_ms = 0.0
-        """The response time of the last message."""
-        self.last_s = 0.0
-        """The time of a monotonic clock at which the last message was answered."""
+        self.total_ms = 0.0  # the sum of the response times of all messages
+        self.last_ms = 0.0  # the response time of the last message
+        self.last_s = 0.0  # the time of a monotonic clock at which the last message was answered
 
     def decision(self, decision: Decision, total_ms: float, now_s: float | None = None) -> None:
         """Count a telemetry message that was answered after `total_ms`. `now_s` is by a monotonic clock."""

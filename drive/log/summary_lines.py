@@ -9,13 +9,10 @@ from typing import Final
 from common.errors import counted
 from drive.log.drive_summary import DriveSummary, percentiles_ms
 
-MAX_KINDS: Final = 5
-"""Maximum number of named kinds of unusable messages or pictures."""
-_BRIEF_S: Final = 1.0
-"""A shorter time without driving is not mentioned."""
+MAX_KINDS: Final = 5  # maximum number of named kinds of unusable messages or pictures
+_BRIEF_S: Final = 1.0  # a shorter time without driving is not mentioned
 
-RATE_S: Final = 1.0
-"""The time over which the replies per second are measured."""
+RATE_S: Final = 1.0  # the time over which the replies per second are measured
 
 
 def summary_lines(summary: DriveSummary) -> list[str]:

@@ -23,8 +23,7 @@ def autonomy_percent(interventions: int, driven_s: float) -> float:
     return 100.0 * max(0.0, 1.0 - INTERVENTION_COST_S * interventions / driven_s)
 
 
-Height = Callable[[float, float], float]
-"""The ground's height in metres at (x_m, y_m)."""
+Height = Callable[[float, float], float]  # the ground's height in metres at (x_m, y_m)
 
 WHEEL_TRACK_M = 1.6  # between the left and the right wheels
 STUCK_S = 5.0  # without a metre of progress for this long, the car is stuck

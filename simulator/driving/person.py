@@ -64,18 +64,15 @@ class Person(ABC):
     every step of the simulator.
     """
 
-    look_ahead_s: float
-    """As for the expert, but larger, because people react late."""
-    dead_band: float
-    """The median wanted steering, as a share of full lock, from which the hands act."""
+    look_ahead_s: float  # as for the expert, but larger, because people react late
+    dead_band: float  # the median wanted steering, as a share of full lock, from which the hands act
 
     def __init__(self, line: Centreline, set_speed_mph: float, noise: float = 0.0, seed: int = 0) -> None:
         self.wish = Expert(line, set_speed_mph, noise, seed, self.look_ahead_s)
         self._random = np.random.default_rng([seed, 1])  # independent of the expert's, whose seed is `seed`
         self._time_s = -math.inf
         self._next_look_s = -math.inf
-        self.act: Act | None = None
-        """The current or the last act of the hands; None before the first act."""
+        self.act: Act | None = None  # the current or the last act of the hands; None before the first act
 
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's current state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""

@@ -40,8 +40,7 @@ MAX_LOGS: Final = 6
 _LEFT_OUT: Final = "CoordinateFrame:frame"  # it names a picture's entity without the prefix of its log
 Path2D = NDArray[np.float64]
 
-FAR_M: Final = 10.0
-"""A path with a larger median distance is on another road."""
+FAR_M: Final = 10.0  # a path with a larger median distance is on another road
 
 _AHEAD_M: Final = 40.0  # range of the search for the next place: a road may come near itself farther ahead
 

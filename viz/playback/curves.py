@@ -34,8 +34,7 @@ from viz.playback.blueprint import (
 from viz.timelines import Clock, Times
 
 Values = NDArray[np.float64]
-Numbers = Mapping[str, Values]
-"""Values (N,) of N messages, by the name of the field."""
+Numbers = Mapping[str, Values]  # values (N,) of N messages, by the name of the field
 
 _FRAME: Final = (320, 160)  # width and height of the simulator's pictures
 _ALONG: Final = np.linspace(0, 1, 9)  # positions along an arc
