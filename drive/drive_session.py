@@ -76,7 +76,7 @@ class DriveSession:
         self.stop_notice = ""  # the notice of the braking; empty until the brake has been sent
 
     def connected(self) -> None:
-        self._driver = self._new_driver(self._driver.reported_size)
+        self._driver = self._new_driver()
         self._last_steer, self._unpaid = _NEUTRAL, 0
         self._note_telemetry()
         self.is_connected, self._is_stopping = True, False
@@ -238,9 +238,9 @@ class DriveSession:
         if self._last_telemetry_s - self._last_push_s >= FORGET_S:
             self._unpaid = 0
 
-    def _new_driver(self, reported_size: bool = False) -> Driver:
+    def _new_driver(self) -> Driver:
         person = None if self._at_wheel is None else self._at_wheel.person
-        return Driver(self._pilot, self._config, person=person, reported_size=reported_size)
+        return Driver(self._pilot, self._config, person=person)
 
     def _update_standstill(self, decision: Decision) -> None:
         speed_mph, is_braking = decision.speed_mph, decision.throttle < 0

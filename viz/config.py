@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -124,10 +123,5 @@ def _refuse_unusable_names(config: Play) -> None:
 def _refuse_logs_as_addresses(config: Play) -> None:
     """Raise UsageError for logs after --connect, which would take them for addresses."""
     names = config.connect or ()
-    misplaced_logs = [name for name in names if os.path.lexists(name)]
-    if len(names) < 2 and (config.logs or not misplaced_logs):
-        return
-    logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *misplaced_logs)) or "LOG"
-    addresses = [name for name in names if name not in misplaced_logs]
-    line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
-    raise UsageError(f"--connect takes one address; put it after the logs: {line}")
+    if len(names) > 1 or any(map(os.path.lexists, names)):
+        raise UsageError("--connect takes one address; put it after the logs: bc-play LOG --connect HOST:PORT")

@@ -40,13 +40,11 @@ def find_leaks(index: Path | str) -> list[str]:
     """
     index = Path(index)
     path = index / SAMPLES_NAME
-    metadata = read_metadata(path)
-    if metadata is None:
-        raise DatasetError(f"{path}: no index, or a damaged index; build it with `bc-index`")
+    metadata = read_metadata(path) or {}
     try:
         return _leaks_in(path, index, float(metadata["settings"]["gap_s"]))
     except (OSError, LookupError, TypeError, ValueError, pa.ArrowException) as error:
-        raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
+        raise DatasetError(f"{path}: no index, or a damaged one ({error}); build it with `bc-index`") from None
 
 
 def _leaks_in(path: Path, index: Path, gap_s: float) -> list[str]:

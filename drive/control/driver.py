@@ -136,9 +136,8 @@ class Driver:
         config: DriveConfig,
         *,
         person: PersonTakeover | None = None,
-        reported_size: bool = False,
     ) -> None:
-        self.reported_size = reported_size  # True after an unusual size of pictures has been reported
+        self._has_reported_size = False
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
@@ -257,8 +256,8 @@ class Driver:
             self._drive(telemetry, answer, time_s) if answer.is_finite else self._answer_without_number(time_s)
         )
         events = decision.events
-        if picture.shape[:2] != USUAL_SIZE and not self.reported_size:
-            self.reported_size = True
+        if picture.shape[:2] != USUAL_SIZE and not self._has_reported_size:
+            self._has_reported_size = True
             height, width = picture.shape[:2]
             events = (*events, f"pictures of {width}x{height} pixels, not 320x160: used nevertheless")
         return replace(
