@@ -78,17 +78,6 @@ def test_laps_are_reported_only_if_every_frame_has_them() -> None:
 # How far, how long
 
 
-def test_distance_is_speed_times_time() -> None:
-    summary = DriveSummary()
-    for i in range(601):  # a minute at ten a second
-        summary.decision(decided(speed_mph=20.0), 2.0, now_s=1000 + i / 10)
-    assert summary.elapsed_s == pytest.approx(60.0)
-    assert summary.distance_m == pytest.approx(20 * MPH * 60)
-    assert summary.mean_speed_mph == pytest.approx(20.0)
-    assert summary.laps is None
-    assert "laps" not in summary.as_metadata()
-
-
 def test_a_pause_is_no_driving() -> None:
     summary = DriveSummary()
     for now_s in (0.0, 0.5, 1.0, 301.0, 301.5):  # five minutes in the simulator's menu
