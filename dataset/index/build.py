@@ -28,7 +28,6 @@ from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
 from dataset.frames.frames_file import check_where, extent_of, file_if_rewritten
-from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
 from dataset.index.build_state import (
     FRAMES_FOLDER,
     STATE_NAME,
@@ -122,7 +121,7 @@ def build_index(
 def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -> None:
     """Check the settings of `build_index` before anything is read.
 
-    Raises DatasetError if a session to hold out is not in `logs`, or if the index is a file, a link, a run or a
+    Raises DatasetError if a session to hold out is not in `logs`, or if the index is a file, a run or a
     folder of logs. Raises UsageError if the condition is wrong.
     """
     names = sorted(map(session_name, logs))
@@ -131,10 +130,6 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     refuse_file(index)
     if kind := other_folder(index):
         raise DatasetError(f"{index}: {kind}; an index needs its own folder: give --index another name")
-    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER)):
-        # through a link, the build would overwrite and delete other files
-        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
         check_where(config.where)
 

@@ -78,13 +78,6 @@ def test_an_index_of_an_older_toolkit_is_built_anew(
     assert (tmp_path / "index" / "samples.parquet").stat().st_ino != before
 
 
-def test_samples_of_another_format_are_refused(tmp_path: Path) -> None:
-    build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index")
-    rewrite(tmp_path / "index" / "samples.parquet", format=99)
-    with pytest.raises(DatasetError, match=r"has format 99.*bc-index"):
-        Samples(tmp_path / "index")
-
-
 def test_an_index_with_views_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
     log, index = write_session(tmp_path / "a.mcap", STEERING), tmp_path / "index"
     build_index([log], index)
@@ -110,17 +103,6 @@ def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> N
         running = [processes.enter_context(Process(line)) for line in lines]
         assert [process.join() for process in running] == [0] * 4, [process.stderr for process in running]
     Samples(tmp_path / "index").close()
-
-
-def test_a_link_in_the_index_is_not_followed(tmp_path: Path) -> None:
-    path = write_session(tmp_path / "a.mcap", STEERING)
-    other = build_index([path], tmp_path / "other").path
-    (tmp_path / "index").mkdir()
-    (tmp_path / "index" / "frames").symlink_to(other)
-    before = sorted(file.name for file in other.rglob("*"))
-    with pytest.raises(DatasetError, match="not a plain folder"):
-        build_index([path], tmp_path / "index")
-    assert sorted(file.name for file in other.rglob("*")) == before
 
 
 # What cannot be
