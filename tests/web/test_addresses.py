@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,9 +10,6 @@ import pytest
 from tests.helpers.driving import road_jpeg
 from tests.helpers.logs import write_log
 from tests.helpers.workbench import Served, served
-from web.folders.project_folders import key_of
-
-NOT_TEXT = os.fsdecode(b"b\xffd.mcap")
 
 
 @pytest.fixture
@@ -42,19 +37,3 @@ def test_what_is_no_number_of_a_picture_is_not_there(bench: Served, path: str) -
         answer = bench.get(path.format(number))
         assert answer.status == 404
         assert "expected a number in the address" in answer.json["error"]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
-def test_a_log_whose_name_is_not_utf8_is_shown(bench: Served) -> None:
-    (bench.folder / "sessions" / "a.mcap").rename(bench.folder / "sessions" / NOT_TEXT)
-    at = f"/sessions/{key_of(Path(NOT_TEXT))}"
-    assert bench.get(f"{at}/state").json["rows"] == 3
-    assert "b\\udcffd" in bench.get(at, Accept="text/html").text
-    assert bench.get(f"{at}/pictures/center/0").body == road_jpeg(0)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes there")
-def test_a_pipe_in_place_of_a_runs_settings_blocks_no_page(bench: Served) -> None:
-    (bench.folder / "runs" / "pipe").mkdir()
-    os.mkfifo(bench.folder / "runs" / "pipe" / "config.json")
-    assert bench.get("/sessions/a/links").status == 200

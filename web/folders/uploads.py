@@ -28,7 +28,6 @@ MAX_UPLOAD_BYTES: Final = 64 << 30  # sent, and again unpacked
 MAX_FILES: Final = 300_000
 _MAX_MANIFEST_BYTES: Final = 64 << 20
 _MAX_DIRECTORY_BYTES: Final = 64 << 20  # of a zip, which is read into memory
-_MAX_DEPTH: Final = 16
 _MAX_NAME_BYTES: Final = 240
 _SPARE_BYTES: Final = 64 << 20  # of the disk
 _BLOCK_BYTES: Final = 1 << 20
@@ -217,8 +216,6 @@ def checked_name(name: str) -> Sequence[str]:
     """The parts of a file's path in an upload; none for files that operating systems add. Raises WebError for a
     path that leads outside, or a name that is not valid on every system."""
     parts = name.split("/")
-    if len(parts) > _MAX_DEPTH:
-        raise WebError(f"{printable(name)[:200]}: more than {_MAX_DEPTH} folders deep", 422)
     for part in parts:
         is_plain = part not in ("", ".", "..") and part.isprintable() and not set(part) & set('\\:*?"<>|')
         if not is_plain or len(part.encode()) > _MAX_NAME_BYTES:

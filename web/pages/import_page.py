@@ -43,8 +43,6 @@ _PATIENCE_S = 2.0  # for logs that are being read
 
 @dataclass(frozen=True)
 class Offer:
-    """A recording that can be imported."""
-
     recording: RecordingSummary
     name: str  # that no session has
     here: SessionCard | None  # that it seems to have become
@@ -203,6 +201,5 @@ def _name_before(recording: Path, uploads: Path) -> str:
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """A name that no session has."""
     names = (name, *(f"{name}-{number}" for number in range(2, 10_000)))
     return next(free for free in names if free not in taken)

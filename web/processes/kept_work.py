@@ -53,7 +53,6 @@ def start_process(module: str, words: list[str], temporary: str) -> subprocess.P
 
 
 def reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
-    """The reports of a process, until it ends."""
     assert process.stdout is not None  # noqa: S101
     with process.stdout as lines:
         for line in lines:
@@ -95,8 +94,6 @@ _SHOWN: Final = ("is_begun", "stage", "pictures", "total", "left_s", "problem") 
 
 @dataclass
 class Work:
-    """Work that was requested."""
-
     total: int  # pictures
     pictures: int = 0
     stage: str = ""  # if it has several; each has its own total
@@ -161,7 +158,6 @@ class KeptWork:
             return self._requested.get(key)
 
     def start(self, key: str, pictures: int, words: Sequence[str]) -> None:
-        """Start it, unless it is waiting or running."""
         with self._lock:
             before = self._requested.get(key)
             if before is not None and not (before.is_done or before.is_stopped):

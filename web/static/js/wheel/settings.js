@@ -22,45 +22,14 @@ for (const name of Object.keys(DEFAULTS)) if (name.startsWith("button_")) BOUNDS
 
 /** The settings, each a valid value. */
 export function loadSettings() {
-  let kept = {};
-  try {
-    kept = JSON.parse(localStorage.getItem(NAME)) ?? {};
-  } catch {
-    // no storage, or a foreign value: the defaults apply
-  }
+  const kept = JSON.parse(localStorage.getItem(NAME)) ?? {};
   return Object.fromEntries(Object.entries(DEFAULTS).map(([name, value]) => [name, valid(name, kept[name], value)]));
 }
 
 /** Change a setting. An invalid value changes nothing. */
 export function saveSetting(settings, name, value) {
   settings[name] = valid(name, value, settings[name]);
-  try {
-    localStorage.setItem(NAME, JSON.stringify(settings));
-  } catch {
-    // the setting lasts until the page is closed
-  }
-}
-
-const HELD = "wheel held";
-
-/** Remember that this tab holds the wheel of a drive: it may be reloaded. */
-export function keepHeld(drive) {
-  try {
-    sessionStorage.setItem(HELD, drive);
-  } catch {
-    // no storage: a reloaded page gets the wheel if it is free
-  }
-}
-
-/** Whether this tab held the wheel of a drive before it was reloaded. */
-export function heldBefore(drive) {
-  try {
-    const held = sessionStorage.getItem(HELD);
-    sessionStorage.removeItem(HELD);
-    return held === drive;
-  } catch {
-    return false;
-  }
+  localStorage.setItem(NAME, JSON.stringify(settings));
 }
 
 /** A value within its bounds; `fallback` for an invalid one. */
