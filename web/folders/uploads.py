@@ -155,10 +155,7 @@ class Upload:
 
 def uploads_in(folder: Path) -> dict[str, Path]:
     """The uploads in a folder by their names. Links, and folders whose name cannot be shown, are left out."""
-    try:
-        folders = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.is_symlink()]
-    except OSError:
-        return {}
+    folders = [path for path in sorted(folder.glob("*")) if path.is_dir() and not path.is_symlink()]
     return {path.name: path for path in folders if path.suffix != PART_SUFFIX and path.name.isprintable()}
 
 

@@ -244,12 +244,10 @@ class Jobs:
                 os.killpg(number, signal.SIGINT)
 
     def _read(self) -> Iterator[Job]:
-        with contextlib.suppress(OSError):
-            for folder in self.folder.iterdir():
-                with contextlib.suppress(OSError, ValueError):
-                    if about := json_as((folder / ABOUT).read_bytes(), About):
-                        datetime.fromisoformat(about.began)
-                        yield _job(folder, about)
+        for folder in self.folder.glob("*"):
+            with contextlib.suppress(OSError):  # deleted meanwhile
+                if about := json_as((folder / ABOUT).read_bytes(), About):
+                    yield _job(folder, about)
 
 
 def _is_ready(stream: IO[bytes]) -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
@@ -70,8 +70,6 @@ def import_routes(bench: Workbench) -> list[Route]:
                 async for chunk in chunks:
                     await run_in_threadpool(received.write, chunk)
                 uploaded = await run_in_threadpool(received.finish)
-        except ClientDisconnect:
-            return Response(status_code=400)  # to nobody
         except (WebError, OSError):
             async for _ in chunks:  # a browser shows the reason only after it has sent everything
                 pass

@@ -10,9 +10,7 @@ import contextlib
 import http.client
 import os
 import secrets
-import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -98,9 +96,6 @@ class RerunViewer:
             self._process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_GRACE_S)
-        if sys.platform != "win32":
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
         self._process.wait()
         self._reader.join()
