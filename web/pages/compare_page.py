@@ -23,7 +23,6 @@ from common.untrusted import json_as
 from model.evaluation.differences import BLOCK_S, FEWEST_BLOCKS, MEASURES
 from model.runs.run_files import WEIGHTS
 from web.errors import WebError
-from web.folders.project_folders import ProjectFolders
 from web.jobs.job_forms import as_argument
 from web.jobs.jobs import Job
 from web.logs.drive_view import DriveView, drive_map
@@ -35,14 +34,6 @@ from web.server.templates import page
 
 _ENDS_WELL: Final = (0, 1, 3)  # 1: B is worse
 _MOST_S: Final = 24 * 3600.0  # nobody drives longer for a comparison
-
-
-def compare_command(a: Path, b: Path, session: str, folders: ProjectFolders) -> list[str]:
-    """The command line, for the held-out frames or for a session. Raises WebError for a name that looks like a
-    flag."""
-    words = ["bc-eval", "compare", as_argument(a.name), as_argument(b.name), "--json"]
-    words += ["--session", as_argument(session)] if session else []
-    return words + folders.flags("runs", "sessions")
 
 
 def is_outdated(job: Job, runs: Sequence[Path]) -> bool:
@@ -147,10 +138,11 @@ def compare_routes(bench: Workbench) -> list[Route]:
         return RedirectResponse(address, status_code=303)
 
     def _command(a: str, b: str, session: str) -> list[str]:
-        logs = bench.folders.logs("sessions")
-        if session and session not in logs:
-            raise WebError(f"no session {session!r}", 404)
-        return compare_command(*_runs(a, b), session_name(logs[session]) if session else "", bench.folders)
+        """The command line, for the held-out frames or for a session."""
+        words = ["bc-eval", "compare", *(as_argument(run.name) for run in _runs(a, b)), "--json"]
+        if session:
+            words += ["--session", as_argument(session_name(bench.folders.log("sessions", session)))]
+        return words + bench.folders.flags("runs", "sessions")
 
     def _runs(a: str, b: str) -> tuple[Path, Path]:
         if a == b:

@@ -49,7 +49,6 @@ const learners = document.querySelectorAll("[data-learns]");
 
 const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
 
-/** The mouse or a finger is pressed, moved or released. */
 function touched(event) {
   event_ms ??= event.timeStamp;
   steer();

@@ -20,7 +20,6 @@ const DEFAULTS = {
 const BOUNDS = { hold_mph: [1, 100], dead_zone: [0, 0.9], curve: [1, 4], steer_axis: [0, 15], throttle_axis: [-1, 15], brake_axis: [-1, 15] };
 for (const name of Object.keys(DEFAULTS)) if (name.startsWith("button_")) BOUNDS[name] = [-1, 63];
 
-/** The settings, each a valid value. */
 export function loadSettings() {
   const kept = JSON.parse(localStorage.getItem(NAME)) ?? {};
   return Object.fromEntries(Object.entries(DEFAULTS).map(([name, value]) => [name, valid(name, kept[name], value)]));
