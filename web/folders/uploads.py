@@ -7,7 +7,8 @@ before a file is made.
 
 from __future__ import annotations
 
-import contextlib
+import itertools
+import os
 import re
 import shutil
 import zipfile
@@ -144,13 +145,9 @@ class Upload:
             self._stream = None
 
     def _named(self) -> Path:
-        for number in range(1, 1000):
-            folder = self._parent / (self._name if number == 1 else f"{self._name}-{number}")
-            if not folder.exists() and not folder.is_symlink():
-                with contextlib.suppress(FileExistsError):
-                    self._part.rename(folder)
-                    return folder
-        raise WebError(f"{self._parent}: too many folders are called {self._name}", 422)
+        names = itertools.chain([self._name], (f"{self._name}-{number}" for number in itertools.count(2)))
+        folders = (self._parent / name for name in names)
+        return self._part.rename(next(folder for folder in folders if not os.path.lexists(folder)))
 
 
 def uploads_in(folder: Path) -> dict[str, Path]:

@@ -174,7 +174,7 @@ class SessionCards:
         is_growing = is_recording(path)
         if isinstance(glance, UserError):
             # the first rows of a recording may not be on the disk yet
-            problem = "" if is_growing and _is_empty(path) else printable(str(glance))
+            problem = "" if is_growing else printable(str(glance))
             glance = None
         if glance is not None:
             try:
@@ -231,13 +231,6 @@ def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
         counts[tag.name] += max(0, tag.last_row - first + 1)
         reached[tag.name] = max(tag.last_row, reached.get(tag.name, -1))
     return counts
-
-
-def _is_empty(path: Path) -> bool:
-    try:
-        return path.stat().st_size == 0
-    except OSError:  # just finished, and renamed
-        return False
 
 
 def _read_glance(path: Path) -> Glance:
