@@ -34,6 +34,7 @@ from recorder.pictures.image_check import ImageCheck
 from recorder.rows.row_quality import STANDING_MPH
 from recorder.topics import camera_topic
 
+IMAGE_CHECKS_FOLDER: Final = "looks"
 _FORMAT: Final = 1
 
 
@@ -139,7 +140,7 @@ def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindin
 
 
 def image_check_path(index: Path, session: str) -> Path:
-    return index / "looks" / f"{session}.json"
+    return index / IMAGE_CHECKS_FOLDER / f"{session}.json"
 
 
 def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int, int]]:
