@@ -58,7 +58,6 @@ class Import:
 
 
 def _import(config: Import) -> int:
-    """Import a recording, and print what is in its log. Returns the exit code."""
     _check(config)
     name = name_of_recording(config.source) if config.name is None else config.name
 
@@ -113,7 +112,6 @@ def _print_summary(cleaned: CleanRecording) -> None:
 
 
 def _check(config: Import) -> None:
-    """Raise UsageError for values that are never valid, and for flags that do not go together."""
     from recorder.sources.settings import check_rate
 
     settings = config.settings

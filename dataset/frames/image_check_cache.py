@@ -72,7 +72,7 @@ def check_images(
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
         tuple(stretches(against_pictures(log, states_of(log), lambda count: on_decoded(0)))),
-        find_lag(log)[0],
+        find_lag(log),
     )
 
 

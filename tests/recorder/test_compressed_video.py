@@ -197,7 +197,8 @@ def test_frames_in_a_ros2_bag(tmp_path: Path, msgtype: str) -> None:
     [path] = folder.glob("*.db3")
     found = [
         video_in(decoder_for(schema, channel)(message.data))
-        for schema, channel, message in SqliteFile(path).messages(VIDEO, "")
+        for _, read in SqliteFile(path).places(VIDEO, "")
+        for schema, channel, message in [read()]
     ]
     assert found == [("libx264", data) for data in packets]
 
@@ -205,7 +206,7 @@ def test_frames_in_a_ros2_bag(tmp_path: Path, msgtype: str) -> None:
 def test_an_iterator_of_a_ros2_bag_is_closed_by_any_thread(tmp_path: Path) -> None:
     """Python collects what was left early in the thread that happens to run then."""
     [path] = write_video_bag(tmp_path / "bag", StoragePlugin.SQLITE3, encoded(3)).glob("*.db3")
-    messages = SqliteFile(path).messages(VIDEO, "")
+    messages = SqliteFile(path).places(VIDEO, "")
     assert isinstance(messages, Generator)
     next(messages)
     with ThreadPoolExecutor() as pool:
