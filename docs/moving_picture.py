@@ -4,9 +4,9 @@
 
 All of it happens, in Chromium on the pages of bc-web. The person is a program that knows what the page is sent:
 where the car is on the map. It taps the arrow keys, each for as long as the road ahead asks for, and drives half a
-lap of the lake at 10 mph. *Train on it* trains a network on that drive alone, by default options (--epochs presses
-*Stop* before its end), and *Let it drive* lets this network drive. Both drives are played at the simulated time,
-however long this computer takes for a picture; the training is shown in time lapse.
+lap of the lake at 10 mph. *Train on it* trains a network on that drive alone, by default options, and *Let it
+drive* lets this network drive. Both drives are played at the simulated time, however long the computer takes for
+a picture; the training is shown in time lapse.
 
 Needs Playwright and Chromium.
 """
@@ -38,6 +38,7 @@ from web_browser import chromium, serving
 
 PICTURE: Final = Path(__file__).absolute().parent / "pictures" / "drive-train-drive.webp"
 NAME: Final = "my-drive"
+RUN: Final = f"net-{NAME}"
 LAPS: Final = 0.5
 DRIVEN_AT, NETWORK_AT, FILMED_S = 0.335, 0.575, 6.5
 """The place on the track at which the pictures of each drive begin, in laps: the sharpest bend of each half. Their
@@ -196,6 +197,7 @@ def drive(page: Page, film: Film) -> None:
     page.fill("input[name=name]", NAME)
     driving = Driving(page, "button.main")
     page.keyboard.press("r")
+    page.keyboard.press("ArrowUp")  # the car waits for the first key
     while driving.at_laps < DRIVEN_AT or driving.at_laps > 0.9:
         driving.tap()
     with driving.filmed() as shown:
@@ -208,26 +210,20 @@ def drive(page: Page, film: Film) -> None:
     driving.end()
 
 
-def train(page: Page, film: Film, epochs: int | None) -> None:
+def train(page: Page, film: Film) -> None:
     """Ends on the page that lets the network drive."""
     show_button(page, film, "Train on it")
     page.click("text=Train on it")
-    output = page.locator("a", has_text="its output").get_attribute("href")
-    metrics = Path("runs", NAME, "metrics.jsonl")
     with page.context.new_page() as curves:
         curves.set_default_timeout(_PATIENCE_MS)
         while curves.locator("#plots").count() == 0:  # the index is made first
             curves.wait_for_timeout(500)
-            curves.goto(urljoin(page.url, f"/runs/{NAME}"))
+            curves.goto(urljoin(page.url, f"/runs/{RUN}"))
         curves.wait_for_selector("#plots[data-shown]")
         shots = [curves.screenshot()]
         while page.locator("text=Let it drive").count() == 0:
             curves.wait_for_timeout(1000)
-            if "/runs/" in curves.url:
-                shots.append(curves.screenshot())
-                if epochs and metrics.exists() and len(metrics.read_text().splitlines()) >= epochs:
-                    curves.goto(urljoin(page.url, output))
-                    curves.get_by_role("button", name="Stop", exact=True).click()
+            shots.append(curves.screenshot())
     for at in np.linspace(0, len(shots) - 1, _LAPSE):
         film.add(shots[int(at)], "A network learns from it (time lapse)", 0.3)
 
@@ -254,7 +250,7 @@ def let_drive(page: Page, film: Film) -> None:
     driving.end()
 
 
-def make(browser: Browser, address: str, epochs: int | None) -> None:
+def make(browser: Browser, address: str) -> None:
     film = Film()
     # bypass_csp: wait_for_function polls by an eval in the page, which the pages' policy forbids
     context = browser.new_context(viewport=_WINDOW, color_scheme="light", bypass_csp=True)  # type: ignore[arg-type]
@@ -263,20 +259,20 @@ def make(browser: Browser, address: str, epochs: int | None) -> None:
     page.set_default_timeout(_PATIENCE_MS)
     page.goto(f"{address}/wheel")
     drive(page, film)
-    train(page, film, epochs)
+    train(page, film)
     let_drive(page, film)
     film.save(PICTURE)
 
 
-def main(epochs: int | None = None) -> None:
-    """Make the README's moving picture. The training is stopped after `epochs`, or ends by itself."""
+def main() -> None:
+    """Make the README's moving picture."""
     with (
         tempfile.TemporaryDirectory() as folder,
         contextlib.chdir(folder),
         serving(ProjectFolders()) as address,
         chromium() as browser,
     ):
-        make(browser, address, epochs)
+        make(browser, address)
 
 
 if __name__ == "__main__":

@@ -57,6 +57,7 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
     session, drive = sorted(project.logs("sessions"))[0], sorted(project.logs("drives"))[0]
     runs = list(project.run_folders())
     chosen = urlencode([("run", run) for run in runs])
+    yield Shown("home", "/", "main a.main, main button.main")
     yield Shown("sessions", "/sessions", ".session .strip img")
     yield Shown("import", "/import", "#drop")
     yield Shown("session", f"/sessions/{session}", "#session[data-ready]", lambda page: page.keyboard.press("j"))
@@ -76,7 +77,6 @@ def pages_of(project: ProjectFolders) -> Iterator[Shown]:
     yield Shown("drives", f"/drives?{drives}&by=error", "#list table")
     yield Shown("drive", f"/drives/{drive}", "#session[data-course]")
     yield Shown("jobs", "/jobs", "main h1")
-    yield Shown("training", "/jobs?start=train", "details[open]")
     yield Shown("wheel", "/wheel", "form.begin")
     yield Shown("after-a-drive", f"/wheel/after/sessions/{quote(session)}", "form")
     yield Shown("missing", "/runs/none", "main h1")
@@ -137,11 +137,7 @@ def _new(folder: Path) -> ProjectFolders:
 
 
 def _first_page(folders: ProjectFolders) -> Iterator[Shown]:
-    def as_at_home(page: Page) -> None:
-        page.locator(".first-screen code").evaluate_all("all => all[0].textContent = 'sessions'")
-        page.locator(".first-screen code").evaluate_all("all => all[1].textContent = 'bc-demo --folder=.'")
-
-    yield Shown("first", "/sessions", ".first-screen", as_at_home)
+    yield Shown("first", "/", ".hero")
 
 
 def keep(pages: Pages, shown: Shown, path: Path) -> None:

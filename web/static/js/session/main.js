@@ -93,7 +93,7 @@ function goToOdd(step) {
     const { toDo, groups } = filter;
     const interventions = left(course?.interventions ?? [], data.tags);
     const stretch = round.next([interventions, toDo], step > 0 ? only.first : only.last, step);
-    if (!stretch) return showStatus(groups.length ? "all odd stretches are excluded or fine" : "nothing odd in this log");
+    if (!stretch) return showStatus(groups.length ? "all odd stretches are excluded or fine" : "nothing odd here");
     goTo(stretch);
     const number = interventions.indexOf(stretch) + 1;
     const place = number ? `${number} of ${interventions.length} interventions` : `${toDo.length} of ${groups.length} stretches are left`;
