@@ -46,6 +46,7 @@ from tests.helpers.logs import not_a_picture, write_log
 from tests.helpers.ports import free_ports
 from tests.helpers.repository import ROOT
 from tests.helpers.toy import toy_index
+from tests.helpers.udacity import make_recording, paths
 from tests.helpers.waiting import wait_until
 
 
@@ -180,6 +181,26 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Pa
     assert len(list((tmp_path / "there").iterdir())) == 2
 
 
+def test_recordings_are_imported_to_the_same_sessions(tmp_path: Path, small_cluster: Any) -> None:
+    for number, name in enumerate(("monday", "tuesday")):
+        rows = "".join(f"{paths(row)},0.{number},0.5,0,9\n" for row in range(3))
+        make_recording(tmp_path / "theirs/drives" / name, rows)
+    make_recording(tmp_path / "theirs/empty", "")
+    local = run_alone("bc-import", "theirs", "--all", "--sessions", "here", cwd=tmp_path)
+    cluster = ("--ray", small_cluster.address)
+    remote = run_alone("bc-import", "theirs", "--all", "--sessions", "there", *cluster, cwd=tmp_path)
+    assert (local.returncode, remote.returncode) == (3, 3), remote.stderr
+    expected = [line.replace("sessions here", "sessions there") for line in messages(local.stderr)]
+    assert sorted(messages(remote.stderr)) == sorted(expected)
+    assert "theirs/empty/driving_log.csv: " in remote.stderr
+    assert sorted(remote.stdout.splitlines()) == sorted(local.stdout.replace("here", "there").splitlines())
+    logs = [
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()} for folder in ("here", "there")
+    ]
+    assert logs[0] == logs[1]
+    assert sorted(logs[0]) == ["drives-monday.mcap", "drives-tuesday.mcap"]
+
+
 TRAINING = ("--network", "small", "--batch", 4, "--precision", "float32", "--index", "index")
 
 
@@ -201,9 +222,7 @@ def started_training(cluster: Any, folder: Path, epochs: int) -> Process:
     return training
 
 
-def test_a_training_that_ctrl_c_stopped_resumes_to_the_weights_of_one_here(
-    tmp_path: Path, small_cluster: Any
-) -> None:
+def test_a_training_that_ctrl_c_stopped_resumes_to_the_same_weights(tmp_path: Path, small_cluster: Any) -> None:
     with started_training(small_cluster, tmp_path, epochs=2000) as training:
         assert training.end(signal.SIGINT) == 130, training.stderr
     assert training.stderr[-2].endswith("bc-train resume there`")
