@@ -147,7 +147,6 @@ def index(flags: Index) -> int:
 
 
 def _refuse_contradictions(flags: Index) -> None:
-    """Raise UsageError for flags that contradict each other, and for a wrong condition."""
     of_blocks = ("validation_share", *["gap_s"] * (flags.config.gap_s > 0))  # whole sessions have a gap of 0
     if flags.config.validation and (given := flags_given(flags.config, *of_blocks)):
         raise UsageError(f"{given}: not with --validation, which holds out whole sessions")

@@ -45,7 +45,6 @@ def export_index(index: Path, folder: Path, *, where: str | None = None, **optio
 
 
 def _chosen_rows(index: Path, samples: Samples, where: str | None) -> Mapping[str, ChosenRows]:
-    """The used rows that meet `where`, by session."""
     config = samples.settings
     if config.where is not None:
         try:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Final
 
-from common.errors import did_you_mean
+from common.errors import did_you_mean, first_of
 from dataset.errors import DatasetError
 from dataset.samples.samples_format import SAMPLES_NAME
-
-DEFAULT_INDEX: Final = Path("index")
-_MAX_NAMED: Final = 5
-_RUN_CONFIG: Final = "config.json"
 
 
 def missing_index(index: Path) -> DatasetError:
@@ -29,9 +24,8 @@ def missing_index(index: Path) -> DatasetError:
     neighbours = [str(samples.parent) for samples in sorted(folder.glob(f"*/{SAMPLES_NAME}"))]
     hint = did_you_mean(str(index), neighbours)
     if neighbours and not hint:
-        more = " and others" if len(neighbours) > _MAX_NAMED else ""
-        hint = f"the indexes are {', '.join(neighbours[:_MAX_NAMED])}{more};"
-    flag = "" if index == DEFAULT_INDEX else f" --index {shlex.quote(str(index))}"
+        hint = f"the indexes are {first_of(neighbours)};"
+    flag = "" if index == Path("index") else f" --index {shlex.quote(str(index))}"
     return DatasetError(f"{index}: no index; {f'{hint} ' if hint else ''}build it with `bc-index{flag}`")
 
 
@@ -39,13 +33,12 @@ def other_folder(index: Path) -> str:
     """Returns "a run" or "a folder of logs" if the folder is one of these, and cannot become an index; else ""."""
     if (index / SAMPLES_NAME).exists():
         return ""
-    if (index / _RUN_CONFIG).is_file():
+    if (index / "config.json").is_file():
         return "a run"
     return "a folder of logs" if next(index.glob("*.mcap"), None) else ""
 
 
 def refuse_file(index: Path) -> None:
-    """Raise DatasetError for the path of a file: an index is a folder."""
     for place in (index, *index.parents):
         if place.is_file():
             raise DatasetError(

@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 
 from common import atomic_file
 
-METADATA_KEY: Final = b"bc.index"
-"""The key of the metadata in each parquet file of an index."""
+METADATA_KEY: Final = b"bc.index"  # the key of the metadata in each parquet file of an index
 
 MAX_METADATA_BYTES: Final = 1 << 30
 """The metadata of 100,000 sessions has 130 MB; by default, Parquet's readers accept at most 100 MB."""
@@ -35,10 +34,10 @@ def read_metadata(path: Path) -> dict[str, Any] | None:
     """The index's metadata in a parquet file; None if the file is missing, damaged or of another program."""
     try:
         stored = read_schema(path).metadata or {}
-        loaded = json.loads(stored[METADATA_KEY])
-    except (OSError, ValueError, KeyError, pa.ArrowException, RecursionError):
+        loaded: dict[str, Any] = json.loads(stored[METADATA_KEY])
+    except (OSError, ValueError, KeyError, pa.ArrowException):
         return None
-    return loaded if isinstance(loaded, dict) else None
+    return loaded
 
 
 def write_table(path: Path, table: pa.Table, metadata: dict[str, Any]) -> None:

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal, cast, get_args
+from typing import Any, Final, Literal, get_args
 
 Channels = Literal["BGR", "RGB", "YUV"]
 
 ROWS: Final = 160
 """The height of the simulator's pictures. Crops count these rows; of other pictures, the same share is cut off."""
 MIN_PX, MAX_PX = 8, 1024
-
-_ROWS_CUT: Final = re.compile(rf"(\d{{1,3}})/{ROWS}", re.ASCII)
-_PX: Final = re.compile(r"\d{1,4}", re.ASCII)
-_RESIZE: Final = "bilinear"
 
 
 @dataclass(frozen=True)
@@ -42,24 +36,16 @@ class PictureSpec:
             raise ValueError(f"expected one of the orders of colours {', '.join(get_args(Channels))}")
 
     @classmethod
-    def from_description(cls, stored: object) -> PictureSpec:
+    def from_description(cls, stored: Any) -> PictureSpec:
         """The input of a run, from its `description`. Raises ValueError if no version has written this."""
-        if not isinstance(stored, dict):
-            raise ValueError("missing")
-        if stored.get("resize") != _RESIZE:
-            raise ValueError(f"resize {stored.get('resize')!r:.40}")
-        channels = stored.get("channels")
-        if channels not in get_args(Channels):
-            raise ValueError(f"channels {channels!r:.40}")
-        spec = cls(
-            _number(stored, "width_px", _PX),
-            _number(stored, "height_px", _PX),
-            _number(stored, "crop_top", _ROWS_CUT),
-            _number(stored, "crop_bottom", _ROWS_CUT),
-            cast(Channels, channels),
-        )
+        names = ("width_px", "height_px", "crop_top", "crop_bottom")
+        try:
+            sizes = {name: int(stored[name].removesuffix(f"/{ROWS}")) for name in names}
+            spec = cls(**sizes, channels=stored["channels"])
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"no description of pictures: {error}") from None
         if spec.description != stored:
-            raise ValueError("unknown entries")
+            raise ValueError(f"expected {spec.description}, not {stored!r:.400}")
         return spec
 
     @property
@@ -71,7 +57,7 @@ class PictureSpec:
             "crop_bottom": f"{self.crop_bottom}/{ROWS}",
             "height_px": str(self.height_px),
             "width_px": str(self.width_px),
-            "resize": _RESIZE,
+            "resize": "bilinear",
         }
 
     @property
@@ -96,14 +82,6 @@ class PictureSpec:
 def metadata_of(picture: PictureSpec) -> dict[str, str]:
     """The entries that describe a network's input in the metadata of a log or an ONNX file."""
     return {f"preprocessing.{name}": value for name, value in picture.description.items()}
-
-
-def _number(stored: Mapping[str, Any], name: str, form: re.Pattern[str]) -> int:
-    text = stored.get(name)
-    match = form.fullmatch(text) if isinstance(text, str) else None
-    if match is None:
-        raise ValueError(f"{name} {text!r:.40}")
-    return int(match[form.groups])
 
 
 ORIGINAL: Final = PictureSpec()

@@ -35,8 +35,7 @@ class Target:
     max_label: float  # labels are -max_label..max_label
 
 
-MAX_AHEAD_S: Final = 10.0
-"""Maximum time from a picture to the speed that is its label."""
+MAX_AHEAD_S: Final = 10.0  # maximum time from a picture to the speed that is its label
 
 TARGETS: Final = {
     target.name: target

@@ -8,8 +8,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-BINS: Final = 25
-"""The number of bins in the original project, and the default for an index."""
+BINS: Final = 25  # the number of bins in the original project, and the default for an index
 
 
 def bin_of(steering: NDArray[np.float64], bins: int) -> NDArray[np.int64]:

@@ -30,7 +30,7 @@ from track_pictures import FORM_VIEWS, Picture, form_view, hairpin_sheet, layout
 from viewer_pictures import screenshot
 from viz.playback.comparison import PLACE
 from viz.timelines import LOG_TIME
-from web.server.static_files import FOLDER as STATIC_FILES
+from web.server.templates import FOLDER as STATIC_FILES
 
 DEMO: Final = Path("demo/pictures")
 TRACK: Final = "mountain"

@@ -15,7 +15,6 @@ from recorder.sources.eye_pictures import EyeMoment, EyePictures
 from recorder.teleop.cockpit import Cockpit, Recording
 from recorder.teleop.wheel import Request, Wheel
 
-MAX_LISTED: Final = 1000  # takeovers that the page lists at the end
 PUT_BACK: Final = "the person puts the car back on its line"
 _POLL_S: Final = 0.1  # while it waits for the page
 
@@ -60,7 +59,6 @@ class AtWheel(Cockpit):
         return True
 
     def show(self, decision: Decision, row: int) -> None:
-        """Show an answered telemetry message, row `row` of the log."""
         if (telemetry := decision.telemetry) is None:
             return
         world = telemetry.world
@@ -78,7 +76,7 @@ class AtWheel(Cockpit):
             takeovers=self._counted,
         )
         self.recording.add(round(state.time_s * 1e9), row)
-        if is_human and not self._was_human and len(self._takeovers) < MAX_LISTED:
+        if is_human and not self._was_human:
             self._takeovers.append({"row": row, "time_s": round(state.time_s, 2)})
         self._was_human = is_human
         if world is not None and world.laps is not None:
@@ -99,6 +97,5 @@ class AtWheel(Cockpit):
         return tags
 
     def end(self, log: Path, rows: int) -> None:
-        """Tell the page that the drive has ended and its log is finished."""
         why = f"the drive has ended{self._driven}"
         self.wheel.end({"log": str(log), "rows": rows, "takeovers": self._takeovers, "why": why})

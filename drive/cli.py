@@ -141,7 +141,6 @@ def _at_wheel(
 
 
 def _load(config: Drive, settings: DriveConfig, run: Path) -> tuple[DriveConfig, Pilot]:
-    """The settings of a drive with its car, if that is known, and the network, ready to drive."""
     from drive.driven_car import driven_car, other_steering
     from model import load_pilot
     from model.runs.run_folder import load_named

@@ -43,8 +43,7 @@ class Demo:
     """Share of each track's lap that is recorded."""
 
 
-_MADE: Final = ("sessions", "index", "runs", "drives")
-"""The folders that the demo's commands make."""
+_MADE: Final = ("sessions", "index", "runs", "drives")  # the folders that the demo's commands make
 
 
 def commands_of(config: Demo) -> list[str]:
@@ -133,7 +132,6 @@ def _program(name: str) -> str:
 
 
 def _run(command: str, folder: Path) -> int:
-    """Run a command to its end. Returns its exit code. Raises UserError if it fails."""
     name, *arguments = shlex.split(command)
     process = subprocess.Popen([_program(name), *arguments], cwd=folder)
     try:

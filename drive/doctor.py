@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
 
-from common.errors import UserError, as_user_error, counted, printable
+from common.errors import UserError, as_user_error, counted, first_of, printable
 from common.locks import is_being_written
 from model.runs.advice import Advice
 from recorder.log.tags import FINE, tags_path
@@ -57,8 +57,6 @@ def examine() -> Diagnosis:
 
 @dataclass(frozen=True)
 class _Commands:
-    """Suggested commands, the most important list first."""
-
     mend: list[Advice] = field(default_factory=list)
     begin: list[Advice] = field(default_factory=list)
     learn: list[Advice] = field(default_factory=list)
@@ -75,7 +73,6 @@ class _Commands:
 
 
 def _logs(name: str, diagnosis: Diagnosis, wanted: _Commands) -> list[LogInfo]:
-    """The readable logs of a folder."""
     logs = [path for path in logs_in(Path(name)) if not is_being_written(path)]
     infos: list[LogInfo] = []
     broken: list[Path] = []
@@ -139,14 +136,13 @@ def _index(diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> No
         return
     stored = read_metadata(index / SAMPLES_NAME) or {}
     counts = stored.get("counts")
-    if not isinstance(counts, dict):
+    if counts is None:
         diagnosis.problems.append(
             f"{index / SAMPLES_NAME}: damaged, or of another version; `bc-index` rebuilds it"
         )
         wanted.mend.append(Advice("the index cannot be read", "bc-index"))
         return
-    training = sum(_number(session_counts, "training") for session_counts in counts.values())
-    held_out = sum(_number(session_counts, "validation") for session_counts in counts.values())
+    training, held_out = (sum(count[name] for count in counts.values()) for name in ("training", "validation"))
     sizes = f"{counted(training, 'frame')} for training, {held_out:,} held out"
     diagnosis.here.append(f"index: {counted(len(counts), 'session')}, {sizes}")
     if has_earlier_rules(stored):
@@ -157,10 +153,7 @@ def _index(diagnosis: Diagnosis, wanted: _Commands, *, has_sessions: bool) -> No
         wanted.learn.append(Advice("tags are newer than the index", "bc-index"))
     absent = _tried(lambda: sessions_not_indexed(index, sessions), index, diagnosis) if has_sessions else []
     if absent:
-        names = ", ".join(map(printable, absent[:_MAX_NAMED])) + (
-            " and others" if len(absent) > _MAX_NAMED else ""
-        )
-        diagnosis.odd.append(f"index: does not hold {names}")
+        diagnosis.odd.append(f"index: does not hold {first_of(list(map(printable, absent)))}")
         wanted.learn.append(Advice(f"{counted(len(absent), 'session')} not in the index", "bc-index"))
 
 
@@ -191,18 +184,12 @@ _Result = TypeVar("_Result")
 
 
 def _tried(read: Callable[[], _Result], place: Path, diagnosis: Diagnosis) -> _Result | None:
-    """The result of `read`; None if it fails, with a problem that names `place`."""
     try:
         return read()
     except Exception as error:
         problem: UserError = as_user_error(place, error)
         diagnosis.problems.append(str(problem))
         return None
-
-
-def _number(counts: object, name: str) -> int:
-    value = counts.get(name) if isinstance(counts, dict) else None
-    return value if type(value) is int else 0
 
 
 def _time_ns(path: Path) -> int:

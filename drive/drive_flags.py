@@ -98,7 +98,6 @@ def with_default_driver(words: Sequence[str]) -> list[str]:
 
 
 def refuse_contradictions(config: Drive) -> None:
-    """Raise UsageError for flags that would have no effect, and for an invalid port, seed or start."""
     if config.log is not None and (flags := flags_given(config, "drives")):
         raise UsageError(f"{flags}: not needed with --log, which names the log: give one of them")
     if config.environment.gym is not None:

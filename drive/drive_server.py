@@ -30,8 +30,6 @@ MAX_SIMULATORS: Final = 8
 itself."""
 WAITING: Final = "connected, waiting for telemetry"
 MENU: Final = "connected, but no telemetry comes: choose Autonomous Mode in the simulator"
-MAX_CONNECTION_NOTICES: Final = 3
-"""If a simulator connects again and again, only this many connections get notices; then a last notice follows."""
 BRAKING_S: Final = 5.0
 """Time limit for braking at the end. From 30 mph, the car stands in under 3 s."""
 
@@ -95,7 +93,6 @@ class DriveServer:
 
     @property
     def no_drive_reason(self) -> str:
-        """The reason for a drive without telemetry, and the remedy."""
         if self._connections:
             return "a simulator connected, but sent no telemetry; choose its Autonomous Mode"
         return "no simulator connected; start its Autonomous Mode while bc-drive waits for it"
@@ -127,7 +124,6 @@ class DriveServer:
             raise self._failure
 
     def stop(self) -> None:
-        """Brake every car to a stand from now on."""
         self._stopping_since_s = time.monotonic()
         for session in self._driven.values():
             self._brake(session)
@@ -150,7 +146,7 @@ class DriveServer:
             session.disconnected(reason)
             for other in self._driven.values():
                 session.hand_wheel_to(other)
-            if self._track is None and session.connections <= MAX_CONNECTION_NOTICES:
+            if self._track is None:
                 frames = f"{session.writer.path} has {counted(session.log.frames, 'frame')} so far"
                 self.notify(f"disconnected ({reason}): {frames}" + ("" if self._driven else "; waiting"))
 
@@ -235,21 +231,16 @@ class DriveServer:
             return None
 
     def _session_for(self, sid: str) -> DriveSession:
-        """The session for a client that sends its first telemetry since its connection."""
         free = [session for session in self.sessions if not session.is_connected]
         taken = {session.writer.path for session in self.sessions}
         session = free[0] if free else self._open_session(log_beside(self._log, taken), overwrite=False)
         self._driven[sid] = session
         session.connected()
-        if session.connections <= MAX_CONNECTION_NOTICES:
-            self._notified -= {WAITING, MENU}
+        self._notified -= {WAITING, MENU}
         if self._stopping_since_s is not None:
             self._brake(session)
         if not session.is_empty:
-            if session.connections <= MAX_CONNECTION_NOTICES:
-                self.notify(f"connected again: {session.writer.path} continues")
-            elif session.connections == MAX_CONNECTION_NOTICES + 1:
-                self.notify("it connects again and again: no more notices of this; the log has the events")
+            self.notify(f"connected again: {session.writer.path} continues")
         elif session is not self.session:
             self.notify(
                 f"a second simulator has connected: it is driven, too, and logged to {session.writer.path};"

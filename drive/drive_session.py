@@ -28,14 +28,10 @@ WATCHDOG_S: Final = 1.0
 command. The time grows by this value for each such command of the last minute, minus the messages left unanswered
 for them. Otherwise, a simulator with longer steps would get a further command in each step."""
 
-FORGET_S: Final = 60.0
-"""The time after which a command of the watchdog does not count any more."""
+FORGET_S: Final = 60.0  # the time after which a command of the watchdog does not count any more
 
 SILENT_S: Final = 0.2
 """The silence of a braking simulator after which the brake, and its release, are sent without telemetry."""
-
-STABLE_S: Final = 10.0
-"""A connection of this length is stable."""
 
 _NEUTRAL: Final = Steer(0.0, 0.0)
 
@@ -54,7 +50,6 @@ class DriveSession:
         notify: Callable[[str], None] = lambda text: None,
         at_wheel: AtWheel | None = None,
     ) -> None:
-        """`at_wheel` lets a person take over from the network."""
         self._notify = notify
         self.writer = writer
         self.log = DriveLog(writer)
@@ -74,30 +69,22 @@ class DriveSession:
         self._unpaid = 0  # commands that answered no message, minus messages left unanswered for them
         self._is_stopping = self._was_braking = False
         self.is_connected = False
-        self._connected_s = 0.0
-        self.connections = 0
-        """The number of connections since the last stable one."""
         self.rolling_reason = ""
         """The reason why the car may still roll at the end of a drive; empty if it stands."""
         self.is_at_rest = False
         """True when the car stands or, if its speed is unknown, when the brake has ended."""
-        self.stop_notice = ""
-        """The notice of the braking; empty until the brake has been sent."""
+        self.stop_notice = ""  # the notice of the braking; empty until the brake has been sent
 
     def connected(self) -> None:
-        self._driver = self._new_driver(self._driver.reported_size)
+        self._driver = self._new_driver()
         self._last_steer, self._unpaid = _NEUTRAL, 0
         self._note_telemetry()
         self.is_connected, self._is_stopping = True, False
-        self.connections += 1
-        self._connected_s = time.monotonic()
         self.summary.connected()
         self.log.event("connected")
 
     def disconnected(self, reason: str) -> None:
         self.is_connected = False
-        if time.monotonic() - self._connected_s >= STABLE_S:
-            self.connections = 0
         self.log.disconnected(reason)
 
     def telemetry(self, data: object, received_s: float, in_flight: int = 1) -> Answer:
@@ -120,7 +107,6 @@ class DriveSession:
         )
 
     def unanswered(self, data: object, received_s: float) -> None:
-        """Log a telemetry message that is left unanswered."""
         self._note_telemetry()
         self._unpaid = max(0, self._unpaid - 1)
         self.summary.unanswered += 1
@@ -129,7 +115,6 @@ class DriveSession:
             self.log.decision(self._driver.read(data), (time.perf_counter() - received_s) * 1e3)
 
     def first_command_sent(self) -> None:
-        """Note a command that was sent before the first telemetry."""
         self.summary.pushes += 1
         self.log.event("no telemetry for a second after the connection: 0,0 was sent, to make the simulator begin")
 
@@ -177,13 +162,11 @@ class DriveSession:
             self._notify(text)
 
     def note_silence(self) -> None:
-        """Let the page of the person at the wheel show that the simulator is silent, or has gone."""
         if self._at_wheel is not None:
             self._at_wheel.wheel.note_silence(self.silent_s, is_connected=self.is_connected)
 
     @property
     def is_end_asked(self) -> bool:
-        """True after the person at the wheel has requested the end of the drive."""
         return self._at_wheel is not None and self._at_wheel.is_ended
 
     @property
@@ -192,7 +175,6 @@ class DriveSession:
         return self._clock.tick() - self._last_telemetry_s
 
     def stop(self) -> None:
-        """Brake the car to a stand from now on."""
         self._driver.stop()
         self._is_stopping, self.is_at_rest = True, False
         self._was_braking, self.stop_notice = False, ""
@@ -216,7 +198,6 @@ class DriveSession:
         return text
 
     def add_metadata(self, record: str, values: dict[str, str]) -> None:
-        """Add a metadata record, which is written at the end of the log."""
         self._metadata[record] = values
 
     def __enter__(self) -> Self:
@@ -257,9 +238,9 @@ class DriveSession:
         if self._last_telemetry_s - self._last_push_s >= FORGET_S:
             self._unpaid = 0
 
-    def _new_driver(self, reported_size: bool = False) -> Driver:
+    def _new_driver(self) -> Driver:
         person = None if self._at_wheel is None else self._at_wheel.person
-        return Driver(self._pilot, self._config, person=person, reported_size=reported_size)
+        return Driver(self._pilot, self._config, person=person)
 
     def _update_standstill(self, decision: Decision) -> None:
         speed_mph, is_braking = decision.speed_mph, decision.throttle < 0

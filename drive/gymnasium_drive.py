@@ -28,7 +28,6 @@ class Episode:
 
 
 def check_pedals(car: GymnasiumCar) -> None:
-    """Raise DriveError if nothing can work the pedals, because a network only steers."""
     if car.actions.has_pedals and not (car.has_speed or car.has_expert):
         raise DriveError(
             f"action {car.actions.text}: the network only steers; for the pedals give the environment's key"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -152,7 +152,6 @@ EARLIER: Final = (
 
 
 def _record(config: Record) -> int:
-    """Record a driver of the built-in simulator. Returns the exit code, as the other verbs do."""
     from recorder.sources.built_in_simulator import check_drive, record_simulated  # NumPy, Protobuf, OpenCV
 
     with usage_errors(RecordingError):
@@ -175,18 +174,13 @@ def _record_me(config: RecordMe) -> int:
     _check_person(config.drive)
 
     def write(log: Path) -> Imported:
-        with contextlib.ExitStack() as stack:
-            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
-            done = record_person(config.drive, log, overwrite=config.log.force, on_wheel=on_wheel)
-            if config.page:
-                wait_until_left(done.path)
-            return done
+        with _page(log, serves=config.page, opens=config.open) as on_wheel:
+            return record_person(config.drive, log, overwrite=config.log.force, on_wheel=on_wheel)
 
     return _make_session(config.name, config.log, write)
 
 
 def _record_listening(config: RecordListening) -> int:
-    """Record simulators that connect; with --me, a person drives one."""
     if config.idle is not None and not 0 <= config.idle < math.inf:
         raise UsageError(f"--idle {config.idle:g}: expected a number of seconds, 0 or more")
     if config.port:  # 0: a free one
@@ -209,11 +203,8 @@ def _record_listening(config: RecordListening) -> int:
             if not config.me:
                 return listen_for_telemetry(log, settings, overwrite=config.log.force)
 
-            on_wheel = _page_opener(stack, log, serves=config.page, opens=config.open)
-            done = listen_at_the_wheel(settings, log, config.speed, overwrite=config.log.force, on_wheel=on_wheel)
-            if config.page:
-                wait_until_left(done.path)
-            return done
+            on_wheel = stack.enter_context(_page(log, serves=config.page, opens=config.open))
+            return listen_at_the_wheel(settings, log, config.speed, overwrite=config.log.force, on_wheel=on_wheel)
 
     return _make_session(config.name, config.log, write)
 
@@ -241,18 +232,21 @@ def _car(name: str | None) -> Car | None:
     return None if name is None else named_car(name)
 
 
-def _page_opener(stack: contextlib.ExitStack, log: Path, *, serves: bool, opens: bool) -> Callable[[Wheel], None]:
-    """What is called with the wheel as soon as a page can connect: it serves the page until `stack` is closed."""
+@contextlib.contextmanager
+def _page(log: Path, *, serves: bool, opens: bool) -> Iterator[Callable[[Wheel], None]]:
+    """What is called with the wheel as soon as a page can connect: it serves the page until the user leaves it."""
+    with contextlib.ExitStack() as stack:
 
-    def serve_page(wheel: Wheel) -> None:
+        def serve_page(wheel: Wheel) -> None:
+            if serves:
+                stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
+
+        yield serve_page
         if serves:
-            stack.enter_context(wheel_page(wheel.key, {"sessions": log.parent}, opens=opens))
-
-    return serve_page
+            wait_until_left(log)
 
 
 def _check_person(drive: PersonDrive) -> None:
-    """Raise UsageError for values that do not fit a person's drive."""
     from recorder.sources.settings import check_row_rate
 
     _check_speed(drive.speed)

@@ -75,7 +75,6 @@ class Import:
 
 
 def _import(config: Import) -> int:
-    """Import a recording, and print what is in its log. Returns the exit code."""
     _check(config)
     if config.all:
         return _import_all(config)
@@ -206,7 +205,6 @@ def _print_summary(cleaned: CleanRecording) -> None:
 
 
 def _check(config: Import) -> None:
-    """Raise UsageError for values that are never valid, and for flags that do not go together."""
     from recorder.sources.settings import check_rate
 
     settings = config.settings

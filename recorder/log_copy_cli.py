@@ -62,7 +62,7 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
             of_many = f" ({number} of {len(pairs)})" if len(pairs) > 1 else ""
             try:
                 with progress_task(bar, f"copying {log.name}{of_many}, bytes", size_of(log)) as advance:
-                    done = copy_log(log, target, overwrite=overwrite, keeps_damaged=True, on_bytes=advance)
+                    done = copy_log(log, target, overwrite=overwrite, on_bytes=advance)
             except OSError as error:
                 codes.append(print_error(prog, _unreadable_or_full(log, target, error)))
                 continue
@@ -80,14 +80,12 @@ def copy_logs(places: Sequence[Location], to: Location, *, overwrite: bool = Fal
 
 
 def _unreadable_or_full(log: Location, target: Location, error: OSError) -> UserError:
-    """The error for a file of this machine that cannot be read or written."""
     if error.filename is None and isinstance(target, Path):
         return UserError(f"{target}: {error.strerror}; the same command continues")
     return UserError(f"{error.filename or log}: {error.strerror}")
 
 
 def _pairs(places: Sequence[Location], to: Location) -> list[tuple[Location, Location]]:
-    """Each log with the place of its copy."""
     logs: list[Location] = []
     for place in places:
         inside = [log for log in logs_at(place) if log.suffix == ".mcap" or log == place]

@@ -148,7 +148,6 @@ class Split:
 
 
 def refuse_fewer(logs: tuple[Location, ...], least: int = 1) -> None:
-    """Raise UsageError for fewer logs than `least`."""
     if len(logs) < least:
         raise UsageError(f"give at least {counted(least, 'log')}, such as sessions/lake.mcap")
 
@@ -261,7 +260,6 @@ def refuse_no_text(*flags: tuple[str, str | None]) -> None:
 
 
 def print_exported(done: Exported, *, has_licence: bool, is_video: bool) -> int:
-    """Print what was written and what was not; the exit code."""
     code = warn_skipped(done.skipped)
     for notice in done.notices:
         print_message(notice)

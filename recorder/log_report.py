@@ -27,8 +27,6 @@ if TYPE_CHECKING:  # NumPy
     from recorder.upkeep.log_info import LogInfo
 
 MAX_PLACES: Final = 6  # named for each kind; --json names all
-MAX_LINES: Final = 200
-"""The most topics, settings and tags shown of a log: a terminal takes a millisecond for each."""
 _LONG_VALUE: Final = 400  # characters
 _EXCLUDES: Final = "excludes all that is surely odd"
 
@@ -43,33 +41,23 @@ def print_info(info: LogInfo) -> None:
     start = info.start and f", {info.start}"
     print_table(f"[bold]{plain(info.path)}[/]: {info.duration_s:,.1f} s{driven}, {size}{start}")
     table = Table("topic", "schema", "messages", "a second")
-    for topic in info.topics[:MAX_LINES]:
+    for topic in info.topics:
         table.add_row(plain(topic.topic), plain(topic.schema), f"{topic.messages:,}", f"{topic.per_second:,.1f}")
     print_table(table)
-    _print_more(len(info.topics), "more topic")
-    for name, value in sorted(info.session.items())[:MAX_LINES]:
+    for name, value in sorted(info.session.items()):
         print_table(f"  {plain(name)}: {plain(_in_short(value))}")
-    _print_more(len(info.session), "more setting")
     _print_drives(info)
     if info.steering is not None and info.steering.rows:
         unit = FULL_LOCK if is_angle_unknown(info.session) else DEGREES
         measures = f"; `bc-log check {plain(shlex.quote(info.path))}` measures it" * (NOT_MEASURED in info.labels)
         print_table(f"  {steering_line(info.steering, info.lag, unit)}", f"  labels: {info.labels}{measures}")
-    for topic_name, sizes in list(info.picture_sizes.items())[:MAX_LINES]:
+    for topic_name, sizes in info.picture_sizes.items():
         print_table(f"  pictures of several sizes on {plain(topic_name)}: {plain(sizes)}")
-    _print_more(len(info.picture_sizes), "more topic")
-    for tag in info.tags[:MAX_LINES]:
+    for tag in info.tags:
         print_table(f"  tag {plain(tag.name)}: {rows_of(tag)}")
-    _print_more(len(info.tags), "more tag")
-
-
-def _print_more(count: int, noun: str, shown: int = MAX_LINES) -> None:
-    if count > shown:
-        print_table(f"    and {counted(count - shown, noun)} (--json lists them)")
 
 
 def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
-    from recorder.log.known_lag import lag_path
     from recorder.rows.causes import CAUSES
     from recorder.rows.steering_habits import lag_in_words
 
@@ -85,8 +73,6 @@ def print_checked(checked: Checked, tags: Sequence[Tag]) -> None:
     if checked.lag is not None:
         words = lag_in_words(checked.lag.lag) if checked.lag.lag else "its pictures do not show the lag"
         print_result(f"  {words}")
-        if not checked.is_lag_kept:
-            warn(f"{lag_path(checked.path)}: cannot be written; `bc-index --look` keeps the lag in the index")
     odd = _odd_lines(checked.odd, tags, checked.path, is_looked=checked.pictures > 0)
     print_result(*(f"  {line}" for line in odd))
     meant = Skipped()
@@ -134,7 +120,8 @@ def _print_drives(info: LogInfo) -> None:
         print_table(
             f"    gap: rows {gap.first_row} to {gap.last_row}, {gap.begin_s:.1f} to {gap.end_s:.1f} s{goes_back}"
         )
-    _print_more(len(gaps), "more gap", MAX_PLACES)
+    if len(gaps) > MAX_PLACES:
+        print_table(f"    and {counted(len(gaps) - MAX_PLACES, 'more gap')} (--json lists them)")
 
 
 def _odd_lines(
@@ -169,7 +156,6 @@ class NextStep(NamedTuple):
 
 
 def step_of_info(info: LogInfo) -> NextStep:
-    """The next step for a log, from its numbers."""
     from recorder.rows.odd_stretches import exclude_command
 
     log, left = location(info.path), _left(info, info.odd)
@@ -196,7 +182,6 @@ def step_of_check(info: LogInfo, odd: Sequence[OddStretch], *, is_damaged: bool)
 
 
 def print_first(steps: Sequence[NextStep]) -> None:
-    """Print the most important step, if there is any."""
     if steps:
         print_next(*min(steps, key=lambda step: step.order)[1:])
 

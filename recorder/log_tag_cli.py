@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import tyro
 
@@ -26,7 +26,9 @@ from recorder.log.tags import (
 )
 from recorder.log_edit_cli import rows_of_flags
 from recorder.log_flag import LogFlag
-from recorder.log_report import MAX_LINES, rows_of
+from recorder.log_report import rows_of
+
+_MAX_LINES: Final = 200
 
 LogPlace = Annotated[LogFlag, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
 
@@ -115,10 +117,10 @@ class NameRows:
                 sure = fine_rows(self.log).untagged(sure)
             chosen = [Tag(stretch.first_row, stretch.last_row, name) for stretch in sure]
             words = [str(stretch) for stretch in sure]
-        for line in words[:MAX_LINES]:
+        for line in words[:_MAX_LINES]:
             print_message(line)
-        if len(words) > MAX_LINES:
-            print_message(f"and {counted(len(words) - MAX_LINES, 'more stretch', 'more stretches')}")
+        if len(words) > _MAX_LINES:
+            print_message(f"and {counted(len(words) - _MAX_LINES, 'more stretch', 'more stretches')}")
         return chosen
 
     def _is_confirmed(self, chosen: list[Tag]) -> bool:

@@ -39,7 +39,6 @@ def print_next_index(folder: Path) -> None:
 
 
 def print_recorded(done: Imported) -> None:
-    """Print what is in a log, and what is perhaps odd."""
     from recorder.rows.odd_stretches import odd_advice, odd_lines  # NumPy, Arrow
     from recorder.upkeep.log_info import describe
 
@@ -58,7 +57,6 @@ def print_recorded(done: Imported) -> None:
 
 
 def _check_name(name: str) -> None:
-    """Raise UsageError for a name that a session cannot have."""
     if not name or name.startswith((".", "-")) or set(name) & set(_NOT_IN_FILE_NAMES) or printable(name) != name:
         raise UsageError(f"{name!r}: not a name for a session; give a plain one, such as lake")
     if name.endswith(".mcap"):

@@ -81,8 +81,7 @@ class DrivingEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.observation_space: spaces.Space[Observation] = spaces.Dict(observed)  # type: ignore[assignment]
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._simulation = Simulation(track)
-        self.course = self._simulation.course
-        """The car's place and progress."""
+        self.course = self._simulation.course  # the car's place and progress
         self._cameras = tuple(cameras)
         self._end_m = laps * self._simulation.track.line.length_m
         self._expert = Expert(self._simulation.track.line, EXPERT_MPH)

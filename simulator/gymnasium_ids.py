@@ -9,8 +9,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any, Final
 
-MAX_STEPS: Final = 3000
-"""Maximum steps of an episode: 300 s, enough for a lap of each track at 10 mph."""
+MAX_STEPS: Final = 3000  # maximum steps of an episode: 300 s, enough for a lap of each track at 10 mph
 
 _ENTRY_POINTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
     "bc/Lake-v0": ("simulator.environment:DrivingEnv", {"track": "lake"}),

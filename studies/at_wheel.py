@@ -108,7 +108,7 @@ def delays(folder: Path, seconds: float) -> dict[str, Any]:
         presses, look_s, told_s = 0, 0.0, begin_s
         while (now_s := time.monotonic()) < begin_s + seconds:
             sight = player.look()
-            wanted, _ = driver.wish(sight.course)
+            wanted, _ = driver.wish.control(sight.course)
             key = "ArrowLeft" if wanted < 0 else "ArrowRight"
             page.page.keyboard.down(key)
             time.sleep(chance.uniform(*PRESS_S))

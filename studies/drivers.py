@@ -27,8 +27,8 @@ from recorder.rows.steering_habits import neighbours_mean
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
 from simulator.driving.expert import Expert
-from simulator.driving.recovery_driving import drive_for_recording
-from simulator.driving.simulated_driver import SimulatedDriver, make_driver
+from simulator.driving.person import make_driver
+from simulator.driving.recovery_driving import SimulatedDriver, drive_for_recording
 from simulator.driving.vehicle import STEP_S
 from simulator.roads.track import load_track
 

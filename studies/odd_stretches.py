@@ -30,8 +30,8 @@ from recorder.rows.odd_stretches import OddStretch, odd_stretches
 from recorder.rows.row_quality import States
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
-from simulator.driving.recovery_driving import drive_for_recording
-from simulator.driving.simulated_driver import SimulatedDriver, make_driver
+from simulator.driving.person import make_driver
+from simulator.driving.recovery_driving import SimulatedDriver, drive_for_recording
 from simulator.rendering.world_maps import build_world
 from simulator.roads.track import load_track
 

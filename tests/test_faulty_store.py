@@ -105,8 +105,8 @@ def read(store: Store) -> None:
 
 
 REQUESTS: dict[Callable[[Store], None], int] = {
-    upload: 8,
-    upload_in_parts: 10,
+    upload: 7,
+    upload_in_parts: 9,
     download: 6,
     index: 7,
     read: 12,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 from collections.abc import Sequence
@@ -44,7 +43,6 @@ def _prepare_rerun() -> None:
 
 
 def _show_or_save(config: Play, content: FinishedContent | GrowingLogContent) -> int:
-    """Show the content, or write it to a file. Returns the exit code."""
     if config.save is None:
         code = content.show(_destination(config))
         if code in (DONE, DONE_BUT_SKIPPED) and not config.follow:
@@ -64,23 +62,22 @@ def _content(config: Play) -> FinishedContent | GrowingLogContent:
 
     if len(config.logs) > 1:
         check_count(config.logs)
-        _check_logs(config.logs, config.at)
+        _check_logs(config.logs)
         size = sum(path.stat().st_size for path in config.logs if path.is_file())
         return FinishedContent(lambda: prepare_comparison(config.logs, config.by, config.at), size)
     path = find_log(config.log) if config.follow else config.log
     if config.follow and not is_finished(path):
         return GrowingLogContent(path)
-    _check_logs([path], config.at)
+    _check_logs([path])
     return FinishedContent(lambda: prepare_log(path, at_s=config.at), path.stat().st_size if path.is_file() else 0)
 
 
-def _check_logs(paths: Sequence[Path], at_s: float | None = None) -> None:
-    """Raise LogError for an empty log, or a file that is not a log, before a viewer opens; UserError if finished
-    logs are shorter than `at_s`. Print a notice for a log without CRCs."""
+def _check_logs(paths: Sequence[Path]) -> None:
+    """Raise LogError for an empty log, or a file that is not a log, before a viewer opens. Print a notice about
+    missing CRCs."""
     from recorder import Log, LogError
     from recorder.mcap.mcap_file import WITHOUT_CRCS, McapFile
     from recorder.mcap.scan import counts_no_message
-    from viz.live.live_log import is_finished
 
     for path in dict.fromkeys(paths):
         empty = LogError(f"{path}: an empty log; `bc-log ls` lists others")
@@ -94,13 +91,6 @@ def _check_logs(paths: Sequence[Path], at_s: float | None = None) -> None:
                 raise empty
             if not log.has_crcs:
                 print_message(f"{path}: {WITHOUT_CRCS}")
-    if at_s is not None and all(map(is_finished, paths)):  # an unfinished log would be read whole
-        from viz.playback.rerun_recording import check_moment
-
-        with contextlib.ExitStack() as stack:
-            logs = [(path, stack.enter_context(Log(path))) for path in paths]
-            if not any(log.problem for _, log in logs):
-                check_moment(at_s, logs)
 
 
 def _destination(config: Play) -> Destination:
@@ -148,7 +138,7 @@ def _play_predicted(config: Play) -> int:
     for path in (config.save, config.write):
         if path is not None:
             refuse_existing(path, config.force)  # before minutes of work
-    _check_logs(config.logs, config.at)
+    _check_logs(config.logs)
     runs = [find_run(name, config.runs) for name in config.run]
     load_named(config.network, runs)
     if is_only_written:
@@ -171,7 +161,6 @@ def _play_predicted(config: Play) -> int:
 
 
 def _report_predictions(config: Play, predictions: LogPredictions) -> int:
-    """Write the predictions to --write, if given, and print their summaries. Returns the exit code."""
     from viz.playback.prediction_log import write_predictions
 
     if config.write is not None:
@@ -183,7 +172,6 @@ def _report_predictions(config: Play, predictions: LogPredictions) -> int:
 
 
 def _warn_unfinished(notice: str) -> int:
-    """Print the notice of a log that was never finished. Returns the exit code."""
     return warn(notice) if notice else DONE
 
 

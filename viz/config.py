@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,7 +13,6 @@ import tyro
 from common import UserError
 from common.command import check_port, flags_given
 from common.errors import UsageError
-from common.untrusted import real_path
 from recorder.log_flag import LogFlag
 
 
@@ -66,7 +64,6 @@ class Play:
 
     @property
     def log(self) -> Path:
-        """The only log, or the first of several."""
         return self.logs[0]
 
 
@@ -79,7 +76,6 @@ def check_files(config: Play) -> None:
 
 
 def check_video_flags(config: Play) -> None:
-    """Raise UsageError for flags that contradict --video."""
     if len(config.logs) != 1:
         raise UsageError("--video shows one log: give one")
     others = ("save", "follow", "web", "connect", "run", "network", "attention", "write", "by", "at")
@@ -88,7 +84,6 @@ def check_video_flags(config: Play) -> None:
 
 
 def check_viewer_flags(config: Play) -> None:
-    """Raise UsageError for flags that contradict each other when logs are shown, or written by --save."""
     if not config.run and (flags := flags_given(config, "network", "attention", "write")):
         raise UsageError(f"{flags}: only for networks: give --run NAME as well")
     if flags := flags_given(config, "speed", "overlay"):
@@ -113,16 +108,14 @@ def check_viewer_flags(config: Play) -> None:
 
 
 def _refuse_unusable_names(config: Play) -> None:
-    """Raise UserError for a file that would replace a log that is read, or another written file, and UsageError
-    for a name without the suffix of its format."""
+    """Raise UserError for a file that would replace a log that is read, and UsageError for a name without the
+    suffix of its format."""
     files = ("--save", ".rrd", config.save), ("--video", ".mp4", config.video), ("--write", ".mcap", config.write)
-    written = [(flag, suffix, path) for flag, suffix, path in files if path is not None]
-    for at, (flag, _, path) in enumerate(written):
+    for flag, suffix, path in files:
+        if path is None:
+            continue
         if path.exists() and any(log.exists() and path.samefile(log) for log in config.logs):
             raise UserError(f"{flag} {path}: is the log itself, which must not change; give another name")
-        if any(real_path(path) == real_path(other) for *_, other in written[:at]):
-            raise UsageError(f"{flag} {path}: two files would have this name; give another name")
-    for flag, suffix, path in written:
         if path.suffix.lower() != suffix:
             raise UsageError(f"{flag} {path}: it writes an {suffix} file; give a name that ends in {suffix}")
 
@@ -130,10 +123,5 @@ def _refuse_unusable_names(config: Play) -> None:
 def _refuse_logs_as_addresses(config: Play) -> None:
     """Raise UsageError for logs after --connect, which would take them for addresses."""
     names = config.connect or ()
-    misplaced_logs = [name for name in names if os.path.lexists(name)]
-    if len(names) < 2 and (config.logs or not misplaced_logs):
-        return
-    logs = " ".join(shlex.quote(str(log)) for log in (*config.logs, *misplaced_logs)) or "LOG"
-    addresses = [name for name in names if name not in misplaced_logs]
-    line = f"bc-play {logs} --connect {' '.join(addresses) if len(addresses) < 2 else 'HOST:PORT'}".rstrip()
-    raise UsageError(f"--connect takes one address; put it after the logs: {line}")
+    if len(names) > 1 or any(map(os.path.lexists, names)):
+        raise UsageError("--connect takes one address; put it after the logs: bc-play LOG --connect HOST:PORT")

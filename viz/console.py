@@ -26,10 +26,8 @@ def print_notice(text: str) -> None:
 
 
 def print_error(error: UserError) -> int:
-    """Print an error in one line. Returns its exit code."""
     return command.print_error(_Program.name, error)
 
 
 def print_skipped(skipped: Skipped) -> int:
-    """Print the items that are not shown, if any. Returns the exit code."""
     return command.warn_skipped(skipped, f"{_Program.name}: skipped")

@@ -25,8 +25,7 @@ _READ_BYTES: Final = 1 << 20
 @dataclass(frozen=True)
 class RrdFile:
     recording: rr.RecordingStream
-    has_failed: threading.Event
-    """Set when the file can no longer be written."""
+    has_failed: threading.Event  # set when the file can no longer be written
 
 
 @contextlib.contextmanager

@@ -43,7 +43,6 @@ class FinishedContent:
     viewer that was already running, it returns when all is sent. Both return the exit code."""
 
     def __init__(self, prepare: Callable[[], AbstractContextManager[PreparedRecording]], size: int = 0) -> None:
-        """`size` is the size of the content in bytes."""
         self._prepare = prepare
         self._size = size
 
@@ -115,13 +114,10 @@ def open_destination(
 
 
 def warn_all(notices: Sequence[str]) -> int:
-    """Print the notices of logs that were never finished. Returns the exit code."""
     return max((warn(notice) for notice in notices if notice), default=DONE)
 
 
 class _ContentFeed(ViewerFeed):
-    """Sends content that does not grow."""
-
     def __init__(self, url: str, prepared: PreparedRecording, every: int) -> None:
         super().__init__(url)
         self._prepared = prepared

@@ -15,8 +15,7 @@ SINCE_START: Final = "since start"
 LOG_TIME: Final = "message_log_time"  # the name in Rerun's MCAP reader
 
 Times = NDArray[np.int64]
-Clock = Callable[[Times], list[rr.TimeColumn]]
-"""Converts log times (N,) in ns to time lines."""
+Clock = Callable[[Times], list[rr.TimeColumn]]  # converts log times (N,) in ns to time lines
 
 
 def log_clock(start_ns: int) -> Clock:

@@ -38,8 +38,6 @@ _MIN_TOP_MPH, _MAX_TOP_MPH = 30.0, 300.0  # the simulator's car reaches 30
 
 
 class Readings:
-    """The vehicle states and commands of a log by time."""
-
     def __init__(self, log: Log) -> None:
         """Raises LogError if the log is damaged."""
         self._begin_ns = log.time_range_ns[0]
@@ -75,8 +73,6 @@ class Readings:
 
 
 class _Rows:
-    """Numbers of the messages on a topic, by time."""
-
     def __init__(self, log: Log, topic: str, *fields: str) -> None:
         table = log.numbers(topic, fields)
         times_ns = table["log_time_ns"].to_numpy()
@@ -109,8 +105,7 @@ def _percent(text: str) -> float:
 
 TICKS_A_SECOND: Final = 60
 """Times of pictures are rounded to a sixtieth of a second, which is enough for every screen and player."""
-HELD_S: Final = 0.5
-"""Seconds for which the last picture before a gap stays, instead of the gap."""
+HELD_S: Final = 0.5  # seconds for which the last picture before a gap stays, instead of the gap
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 _MIN_WIDTH, _MAX_SIDE, _MIN_SIDE = 640, 1920, 64
@@ -128,22 +123,15 @@ class Video:
     duration_s: float
     width: int
     height: int
-    left_out: int
-    """Pictures left out because another one has the same sixtieth of a second."""
-    gaps: int
-    """Gaps of more than a second, each shortened to `HELD_S`."""
-    cut_s: float
-    """Seconds of the log that the shortened gaps leave out."""
-    skipped: Skipped
-    """Pictures that are damaged or do not decode: the picture before is shown instead."""
-    notice: str
-    """A notice that the log was never finished; empty for a finished log."""
+    left_out: int  # pictures left out because another one has the same sixtieth of a second
+    gaps: int  # gaps of more than a second, each shortened to `HELD_S`
+    cut_s: float  # seconds of the log that the shortened gaps leave out
+    skipped: Skipped  # pictures that are damaged or do not decode: the picture before is shown instead
+    notice: str  # a notice that the log was never finished; empty for a finished log
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """The pictures of a video, and their times."""
-
     numbers: NDArray[np.int64]
     ticks: NDArray[np.int64]  # at which each picture appears
     end: int  # tick at which the last picture ends
@@ -157,7 +145,6 @@ class Schedule:
 
 
 def check_speed(speed: float) -> None:
-    """Raise UserError for a speed outside MIN_SPEED..MAX_SPEED."""
     if not MIN_SPEED <= speed <= MAX_SPEED:
         raise UserError(f"--speed {speed:g}: expected a number from {MIN_SPEED:g} to {MAX_SPEED:g}")
 

@@ -17,10 +17,8 @@ Image = NDArray[np.uint8]
 Color = tuple[int, int, int]  # BGR
 Driver = Literal["network", "human", "expert"]
 
-WHEEL_DEG: Final = 90.0
-"""The angle of the wheel on the panel for steering 1."""
-WHEEL_X, WHEEL_Y, WHEEL_RADIUS = 84.0, 82.0, 52.0
-"""The position of the wheel on a panel of 640 x 160."""
+WHEEL_DEG: Final = 90.0  # the angle of the wheel on the panel for steering 1
+WHEEL_X, WHEEL_Y, WHEEL_RADIUS = 84.0, 82.0, 52.0  # the position of the wheel on a panel of 640 x 160
 # colours of the viewer's curves
 RECORDED: Final[Color] = (255, 160, 120)
 PREDICTED: Final[Color] = (60, 160, 255)

@@ -38,8 +38,7 @@ class ViewerFeed(threading.Thread):
         super().__init__(name="feed", daemon=True)
         self.url = url
         self.stop = threading.Event()
-        self.has_unsent = False
-        """True while the viewer has not received all data."""
+        self.has_unsent = False  # True while the viewer has not received all data
         self.code = DONE
 
     def _connected(self, name: str) -> rr.RecordingStream:
@@ -114,8 +113,7 @@ def _feed_running_viewer(feed: ViewerFeed) -> int:
     raise KeyboardInterrupt
 
 
-DEFAULT_PORT: Final = 9876
-"""The default port of Rerun's viewer."""
+DEFAULT_PORT: Final = 9876  # the default port of Rerun's viewer
 
 _PATIENCE_S: Final = 10.0  # for a slow and busy machine
 _POLL_S: Final = 0.1

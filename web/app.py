@@ -30,8 +30,7 @@ from web.pages.sessions_page import session_list_routes
 from web.pages.wheel_pages import wheel_routes
 from web.pages.workbench import Workbench, change_routes
 from web.server.request_guard import HANDLERS, RequestGuard
-from web.server.static_files import STATIC, PageFiles
-from web.server.workbench_server import TrimmedApp
+from web.server.templates import STATIC, PageFiles
 
 _NOT_COMPRESSED: Final = (  # already compressed, or sent in small parts
     *DEFAULT_EXCLUDED_CONTENT_TYPES,
@@ -48,7 +47,7 @@ def workbench_app(
     with contextlib.closing(Workbench(folders, cache)) as bench:
         app = Starlette(routes=routes_of(bench), exception_handlers=HANDLERS)
         compressed = GZipMiddleware(app, compresslevel=5, exclude_content_types=_NOT_COMPRESSED)
-        yield TrimmedApp(RequestGuard(compressed, host, token, once))
+        yield RequestGuard(compressed, host, token, once)
 
 
 def routes_of(bench: Workbench) -> list[BaseRoute]:

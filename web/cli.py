@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import webbrowser
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -57,9 +57,8 @@ def serve(config: Web, page: str = "") -> int:
     from web.folders.project_folders import ProjectFolders
     from web.jobs.jobs import Jobs
     from web.server.request_guard import TOKEN, new_token
-    from web.server.workbench_server import WorkbenchServer, give_memory_back
+    from web.server.workbench_server import WorkbenchServer
 
-    give_memory_back()
     folders = ProjectFolders(config.sessions, config.index, config.runs, config.drives)
     token = new_token() if config.token else ""
     once = new_token() if token and config.open else ""
@@ -97,31 +96,16 @@ def main() -> None:
 
 
 @dataclass(frozen=True)
-class WheelPage:
+class WheelPage(Web):
     """Serve the page of a wheel."""
 
-    key: Annotated[str, tyro.conf.Positional]
+    key: Annotated[str, tyro.conf.Positional] = ""
     """The wheel's key."""
-    open: bool = False
-    """Open the page in a browser."""
-    sessions: Path = Web.sessions
-    """Where sessions are kept."""
-    runs: Path = Web.runs
-    """Where runs are kept."""
-    drives: Path = Web.drives
-    """Where drives are kept."""
 
 
 def _show(config: WheelPage) -> int:
     try:
-        web = Web(
-            port=_free_port(Web.port),
-            open=config.open,
-            sessions=config.sessions,
-            runs=config.runs,
-            drives=config.drives,
-        )
-        return serve(web, page=f"wheel/{config.key}")
+        return serve(replace(config, port=_free_port(config.port)), page=f"wheel/{config.key}")
     except KeyboardInterrupt:  # ended by the command that drives
         return INTERRUPTED
     except UserError as error:

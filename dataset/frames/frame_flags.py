@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Any
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from common.car import Camera
 from recorder.log.tags import EXCLUDE
-from recorder.rows.causes import PICTURE_FLAGS, ROW_FLAGS
 from recorder.rows.condition import lists_with
 from recorder.rows.row_quality import States
 from recorder.rows.steering_habits import LagFinding
 
-FRAME_FLAGS: Final = (*ROW_FLAGS, *PICTURE_FLAGS)
-
-Position = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
-Stretches = tuple[tuple[Position, Position], ...]
+Stretches = tuple[tuple[int, int], ...]
 """First and last position of each stretch, in ascending order and without overlap."""
 
 
@@ -29,7 +24,7 @@ Stretches = tuple[tuple[Position, Position], ...]
 class ImageFindings:
     """The results of decoding all pictures of a log."""
 
-    pictures: Position  # number of checked pictures
+    pictures: int  # number of checked pictures
     broken: Mapping[Camera, Stretches]  # positions among a camera's pictures (`Log.pictures`)
     frozen: Mapping[Camera, Stretches]
     against: Stretches | None = None  # positions of vehicle states; None: checked by an earlier version

@@ -56,8 +56,6 @@ class FramesError(DatasetError):
     """The frames file is missing or damaged."""
 
 
-_ALWAYS_NS: Final = (-(2**63), 2**63 - 1)
-
 REPEATING: Final = ("session", "camera", "driver", "device", "split")
 """Columns with few distinct values. They are read as dictionaries, which need less memory."""
 
@@ -98,7 +96,6 @@ def log_place(name: str, index: Path) -> Location:
 
 
 def frames_settings(config: IndexConfig, session: str) -> dict[str, Any]:
-    """The settings on which the frames of a session depend."""
     return {
         "bins": config.bins,
         "block_s": config.block_s,
@@ -117,11 +114,8 @@ def read_frames(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
             path, columns=columns and list(columns), read_dictionary=repeating, page_checksum_verification=True
         )
     except (OSError, pa.ArrowException) as error:
-        raise _damaged(path, error) from None
-
-
-def _damaged(path: Path, error: Exception) -> FramesError:
-    return FramesError(f"{path}: damaged ({' '.join(str(error).split())}); remove it and run `bc-index`")
+        why = " ".join(str(error).split())
+        raise FramesError(f"{path}: damaged ({why}); remove it and run `bc-index`") from None
 
 
 @dataclass(frozen=True)
@@ -134,22 +128,9 @@ class Extent:
 
 
 def extent_of(path: Path) -> Extent:
-    """The extent of a frames file, from its metadata, without reading frames. Raises FramesError if the file is
-    missing or damaged."""
-    try:
-        metadata = pq.read_metadata(path)
-    except (OSError, pa.ArrowException) as error:
-        raise _damaged(path, error) from None
-    paths = [metadata.schema.column(number).path for number in range(metadata.num_columns)]
-    statistics_ns: list[Any] = []
-    if "log_time_ns" in paths:
-        at = paths.index("log_time_ns")
-        groups = range(metadata.num_row_groups)
-        statistics_ns = [metadata.row_group(group).column(at).statistics for group in groups]
-    if not statistics_ns or any(group is None or not group.has_min_max for group in statistics_ns):
-        return Extent(metadata.num_rows, *_ALWAYS_NS)  # another program wrote the file
-    first_ns, last_ns = min(group.min for group in statistics_ns), max(group.max for group in statistics_ns)
-    return Extent(metadata.num_rows, first_ns, last_ns)
+    times_ns = read_frames(path, ("log_time_ns",))["log_time_ns"]
+    bounds = pc.min_max(times_ns).as_py()
+    return Extent(len(times_ns), bounds["min"] or 0, bounds["max"] or 0)
 
 
 def codes(column: pa.ChunkedArray, names: Sequence[str]) -> NDArray[np.int8]:

@@ -6,12 +6,10 @@ Decoding all pictures of a session takes tens of times as long as indexing the s
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -26,9 +24,8 @@ from common.process_settings import usable_cores
 from common.progress import progress_bar
 from common.stretches import consecutive, stretches
 from common.tasks import Tasks, one_by_one
-from common.untrusted import read_bounded
 from dataset.errors import index_write_errors, log_problem
-from dataset.frames.frame_flags import ImageFindings, Stretches
+from dataset.frames.frame_flags import ImageFindings
 from recorder import Log, LogError
 from recorder.log.known_lag import find_lag, lacks_lag
 from recorder.log.road_places import states_of
@@ -39,7 +36,6 @@ from recorder.topics import camera_topic
 
 IMAGE_CHECKS_FOLDER: Final = "looks"
 _FORMAT: Final = 1
-_MAX_BYTES: Final = 1 << 26
 
 
 def check_images(
@@ -76,7 +72,7 @@ def check_images(
         {camera: tuple(consecutive(broken[topic])) for camera, topic in topics.items() if topic in broken},
         {camera: frozen[topic] for camera, topic in topics.items() if frozen.get(topic)},
         tuple(stretches(against_pictures(log, states_of(log), lambda count: on_decoded(0)))),
-        find_lag(log)[0],
+        find_lag(log),
     )
 
 
@@ -118,7 +114,6 @@ def _check_log(
     threads: int | None,
     on_decoded: Callable[[int], object] = lambda count: None,
 ) -> LogError | None:
-    """Check a log's pictures and write the results; returns the error if the log cannot be read."""
     try:
         with Log(path) as log:
             write_image_check(index, session, log.fingerprint, check_images(log, on_decoded, threads))
@@ -136,18 +131,12 @@ def write_image_check(index: Path, session: str, fingerprint: str, findings: Ima
 
 def read_image_check(index: Path, session: str, fingerprint: str) -> ImageFindings | None:
     """The results for the log with this fingerprint; None if their file is missing, damaged or of another log."""
-    path = image_check_path(index, session)
     try:
-        if path.is_symlink():
-            return None
-        stored = json.loads(read_bounded(path, _MAX_BYTES))
+        stored = json.loads(image_check_path(index, session).read_bytes())
         findings = msgspec.convert(stored, ImageFindings)
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError):
         return None
-    if (stored.get("format"), stored.get("fingerprint")) != (_FORMAT, fingerprint):
-        return None
-    all_stretches = itertools.chain(findings.broken.values(), findings.frozen.values(), [findings.against or ()])
-    return findings if all(map(_are_ascending, all_stretches)) else None
+    return findings if (stored.get("format"), stored.get("fingerprint")) == (_FORMAT, fingerprint) else None
 
 
 def image_check_path(index: Path, session: str) -> Path:
@@ -170,9 +159,3 @@ def _in_order_of_the_file(log: Log) -> Iterator[tuple[Camera, int, int, int, int
     for at in order.tolist():
         number, row, time_ns, offset, length, chunk = (column[at].item() for column in columns)
         yield CAMERAS[number], row, time_ns, offset, length, chunk
-
-
-def _are_ascending(stretches: Stretches) -> bool:
-    return all(first <= last for first, last in stretches) and all(
-        earlier[1] < later[0] for earlier, later in pairwise(stretches)
-    )

@@ -27,8 +27,7 @@ from common.steering_unit import assumed_deg
 from common.tasks import Tasks, one_by_one
 from dataset.config import IndexConfig
 from dataset.errors import DatasetError, SessionError, index_write_errors
-from dataset.frames.frames_file import FramesError, check_where, extent_of, file_if_rewritten
-from dataset.frames.image_check_cache import IMAGE_CHECKS_FOLDER
+from dataset.frames.frames_file import check_where, extent_of, file_if_rewritten
 from dataset.index.build_state import (
     FRAMES_FOLDER,
     STATE_NAME,
@@ -43,7 +42,7 @@ from dataset.index.duplicates import shared_standing_rows
 from dataset.index.log_entries import log_entries
 from dataset.index.session_labels import labels_of_sessions
 from dataset.index.sessions import by_session_name
-from dataset.index.staging import build_lock, finish_interrupted_build, staged, stale_frames_files
+from dataset.index.staging import build_lock, staged, stale_frames_files
 from dataset.missing_index import other_folder, refuse_file
 from dataset.parquet_file import read_columns, read_metadata
 from dataset.samples.samples_format import SAMPLES_FORMAT, SAMPLES_NAME, Balance, SessionCounts, SessionLabels
@@ -57,10 +56,6 @@ _Contents = tuple[Balance, dict[str, SessionCounts], dict[str, SessionLabels]]
 """The balance, and the counts and labels of each session."""
 
 MAX_NAMES: Final = 8
-
-
-class _StaleStateError(Exception):
-    """A file has changed although its size and time have not, or it has changed during the build."""
 
 
 @dataclass(frozen=True)
@@ -113,13 +108,10 @@ def build_index(
     check_settings(list(by_name.values()), index, config)
     build = _Build(by_name, index, config, leave_out_unreadable, sorted(passed_over), tasks)
     with build_lock(index):
-        finish_interrupted_build(index)
-        state, damaged = read_state(index), dict[str, str]()
+        damaged = dict[str, str]()
         while True:
             try:
-                return build.run(state, damaged)
-            except _StaleStateError:
-                state = BuildState.nothing()
+                return build.run(read_state(index), damaged)
             except SessionError as error:
                 if not leave_out_unreadable or error.session in config.validation:
                     raise
@@ -129,7 +121,7 @@ def build_index(
 def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -> None:
     """Check the settings of `build_index` before anything is read.
 
-    Raises DatasetError if a session to hold out is not in `logs`, or if the index is a file, a link, a run or a
+    Raises DatasetError if a session to hold out is not in `logs`, or if the index is a file, a run or a
     folder of logs. Raises UsageError if the condition is wrong.
     """
     names = sorted(map(session_name, logs))
@@ -138,16 +130,11 @@ def check_settings(logs: Sequence[Location], index: Path, config: IndexConfig) -
     refuse_file(index)
     if kind := other_folder(index):
         raise DatasetError(f"{index}: {kind}; an index needs its own folder: give --index another name")
-    for folder in (index / name for name in (FRAMES_FOLDER, IMAGE_CHECKS_FOLDER)):
-        # through a link, the build would overwrite and delete other files
-        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise DatasetError(f"{folder}: not a plain folder; remove it")
     if config.where is not None:
         check_where(config.where)
 
 
 def _refuse_different_steering(held: Mapping[str, BuiltLog]) -> None:
-    """Raise DatasetError if steering 1 is not the same angle of the wheels in all sessions."""
     (first_name, first), *others = held.items()
     for name, other in others:
         first_deg, other_deg = assumed_deg(first.max_steering_deg), assumed_deg(other.max_steering_deg)
@@ -187,12 +174,7 @@ class _Build:
                 frames = {
                     name: (stage if name in read else index) / FRAMES_FOLDER / f"{name}.parquet" for name in held
                 }
-                try:
-                    contents = self._write(frames, samples, held, logs)
-                except (LogError, FramesError):
-                    if state.logs:
-                        raise _StaleStateError from None
-                    raise
+                contents = self._write(frames, samples, held, logs)
             if samples.parent == stage or (entries, self.passed_over) != (state.logs, state.passed_over):
                 built = BuildState(stat_of(samples), entries, self.passed_over)
                 with index_write_errors(index / STATE_NAME):
@@ -224,7 +206,6 @@ class _Build:
         held: Mapping[str, BuiltLog],
         logs: Mapping[str, Mapping[str, Any]],
     ) -> _Contents:
-        """Write the samples of these sessions. Raises LogError or FramesError if a file is damaged."""
         extents = {name: extent_of(file) for name, file in frames.items()}
         standing = shared_standing_rows(frames, self.by_name, extents, self.tasks)
         labels = labels_of_sessions(frames, held, self.config, self.tasks)
@@ -242,7 +223,6 @@ def _mixed(log: Location, entry: BuiltLog) -> str:
 
 
 def _not_measured(logs: Sequence[Location]) -> list[str]:
-    """A line about the logs whose labels need a lag that was never measured, if there are any."""
     if not logs:
         return []
     command = shlex.join(["bc-log", "check", *map(str, logs[:MAX_NAMES])])
@@ -254,7 +234,6 @@ def _not_measured(logs: Sequence[Location]) -> list[str]:
 
 
 def _about_log(log: Location, index: Path, entry: BuiltLog) -> dict[str, Any]:
-    """The log's entry in the samples' metadata: place, fingerprint, foreign source and car."""
     return {
         "log": relative_to(log, index),
         "fingerprint": entry.fingerprint,
@@ -286,5 +265,5 @@ def _up_to_date(
         if holds_out_crashes or stored["format"] != SAMPLES_FORMAT:
             return None
         return Balance.from_dict(stored["balance"]), counts, labels
-    except (OSError, KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError):
+    except (KeyError, ValueError):  # an earlier version built it
         return None

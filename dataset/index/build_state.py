@@ -15,14 +15,12 @@ import msgspec
 from common import atomic_file
 from common.car import MAX_STEERING_DEG
 from common.location import Location, Url
-from common.untrusted import read_bounded
 from dataset.frames.image_check_cache import image_check_path
 from recorder.log.tags import tags_path
 from recorder.rows.steering_habits import LagFinding
 
 FRAMES_FOLDER: Final = "frames"
 STATE_NAME: Final = "state.json"
-_MAX_BYTES: Final = 1 << 29  # a log takes about 1 KB
 
 Stat = tuple[int, int | str] | None
 """Size and time of modification (ns) of a file, or size and ETag of an object; None if it does not exist."""
@@ -30,8 +28,6 @@ Sources = tuple[str, Stat, Stat, Stat]
 
 
 class BuiltLog(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The state of a log when the index was built."""
-
     sources: Sources  # taken before the log was read, so that the next build notices later changes
     fingerprint: str = ""  # of the content; "" if the log was left out
     file: str = ""  # fingerprint of the file, on which the places of the pictures depend
@@ -100,9 +96,9 @@ def read_state(index: Path) -> BuildState:
     """The state of the last build; an empty state if the file is missing, damaged, or of an older version."""
     try:
         # not msgspec.json, which rejects names that are not UTF-8
-        stored = json.loads(read_bounded(index / STATE_NAME, _MAX_BYTES))
+        stored = json.loads((index / STATE_NAME).read_bytes())
         return msgspec.convert(stored, BuildState)
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError):
         return BuildState.nothing()
 
 

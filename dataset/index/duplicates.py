@@ -123,8 +123,6 @@ def _seed_hint(metadata: Mapping[str, str], other_metadata: Mapping[str, str]) -
 
 
 class _Session:
-    """An open log, and the places of its frames."""
-
     def __init__(self, log: Log, frames: Path) -> None:
         table = read_frames(frames, ("row", "offset", "length", "chunk", "speed_mph"))
         self._log = log

@@ -23,7 +23,6 @@ _RARE = ("not_taken_over", "unlabelled", "not_driven")  # counts with a column o
 
 
 def sessions_table(indexed: Indexed) -> Table:
-    """The number of frames of each session by their use."""
     rare = [name for name in _RARE if any(getattr(counts, name) for counts in indexed.counts.values())]
     headings = COUNT_HEADINGS | {"not_driven": "not driven"}
     columns = ["frames", "training", "validation", "gap", "left out", *(headings[name] for name in rare)]
@@ -46,7 +45,6 @@ def sessions_table(indexed: Indexed) -> Table:
 
 
 def labels_table(labels: Mapping[str, SessionLabels]) -> Table:
-    """The steering habits and the label plan of each session."""
     table = Table(box=None, pad_edge=False, title="steering", title_justify="left")
     for heading in ("session", *STEERING_HEADINGS, "labels"):
         table.add_column(heading, no_wrap=heading in STEERING_HEADINGS)
@@ -109,7 +107,6 @@ def _wrong_steering(labels: Mapping[str, SessionLabels]) -> list[str]:
 
 
 def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
-    """A line with the rows if sessions share pictures of a standing car."""
     shared = {printable(name): session_labels.shared_rows for name, session_labels in labels.items()}
     parts = [f"{name} ({counted(len(rows), 'row')} from row {rows[0]})" for name, rows in shared.items() if rows]
     if not parts:
@@ -120,7 +117,6 @@ def _shared_rows(labels: Mapping[str, SessionLabels]) -> list[str]:
 
 
 def mixed_sizes(sizes_px: Mapping[str, Sequence[tuple[int, int]]]) -> list[str]:
-    """A line with the sessions of each size (width, height) if the pictures have different sizes."""
     sessions: dict[tuple[int, int], list[str]] = {}
     for session, sizes in sizes_px.items():
         for size in sizes:

@@ -40,13 +40,11 @@ def find_leaks(index: Path | str) -> list[str]:
     """
     index = Path(index)
     path = index / SAMPLES_NAME
-    metadata = read_metadata(path)
-    if metadata is None:
-        raise DatasetError(f"{path}: no index, or a damaged index; build it with `bc-index`")
+    metadata = read_metadata(path) or {}
     try:
         return _leaks_in(path, index, float(metadata["settings"]["gap_s"]))
     except (OSError, LookupError, TypeError, ValueError, pa.ArrowException) as error:
-        raise DatasetError(f"{index}: damaged ({error}); remove it and build it again with `bc-index`") from None
+        raise DatasetError(f"{path}: no index, or a damaged one ({error}); build it with `bc-index`") from None
 
 
 def _leaks_in(path: Path, index: Path, gap_s: float) -> list[str]:
@@ -65,15 +63,15 @@ def _leaks_of(samples: pa.Table, frames: pa.Table, gap_s: float) -> list[str]:
     training, validation = np.unique(rows[~is_validation]), np.unique(rows[is_validation])
     leaks = []
     if len(both := np.intersect1d(training, validation)):
-        leaks.append(f"{_rows(both)} in training and in validation, the first is row {both[0]['row']}")
+        leaks.append(f"{_rows(both)} in training and in validation")
     is_altered = pc.not_equal(samples["alteration"], "").to_numpy() | samples["copy"].to_numpy()
     if altered := int((is_altered & is_validation).sum()):
-        leaks.append(f"{counted(altered, 'sample')} of validation {_are(altered)} altered, or a copy")
+        leaks.append(f"{counted(altered, 'sample')} of validation altered, or a copy")
     excluded = np.unique(moments(frames)[is_excluded(frames)])
     if len(used := np.intersect1d(excluded, rows)):
-        leaks.append(f"{_rows(used)} tagged `exclude` and used, the first is row {used[0]['row']}")
+        leaks.append(f"{_rows(used)} tagged `exclude` and used")
     if len(again := _again(frames, training, validation)):
-        leaks.append(f"{_rows(again)} in validation a second time, the first is row {again[0]['row']}")
+        leaks.append(f"{_rows(again)} in validation a second time")
     if close := _close(np.unique(moments(frames)), training, validation, gap_s):
         leaks.append(close)
     return leaks
@@ -90,11 +88,7 @@ def _again(frames: pa.Table, training: NDArray[np.void], validation: NDArray[np.
 
 
 def _rows(rows: NDArray[np.void]) -> str:
-    return f"{counted(len(rows), 'row')} {_are(len(rows))}"
-
-
-def _are(number: int) -> str:
-    return "is" if number == 1 else "are"
+    return f"{counted(len(rows), 'row')}, the first is row {rows[0]['row']}:"
 
 
 def _close(rows: NDArray[np.void], training: NDArray[np.void], validation: NDArray[np.void], gap_s: float) -> str:

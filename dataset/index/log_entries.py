@@ -150,7 +150,7 @@ def _lag(log: Log, index: Path, session: str) -> LagFinding | None:
         lag = images.lag
     if lag is None and is_needed and isinstance(log.path, Path):
         with contextlib.suppress(Exception):  # OpenCV may fail on untrusted pictures: then nothing is measured
-            return find_lag(log)[0]
+            return find_lag(log)
     return lag
 
 

@@ -90,7 +90,6 @@ def _expected(session: str, log: Location) -> Location | str:
 
 
 def _hint(session: str, folder: Location) -> str:
-    """A hint at the session that the user may have meant."""
     path = Path(session)
     if (path / "driving_log.csv").is_file():
         return f"this is a recording; `bc-import {shlex.quote(session)} NAME` converts it to a log"
@@ -99,7 +98,6 @@ def _hint(session: str, folder: Location) -> str:
 
 
 def finished_logs(folder: Location) -> list[Location]:
-    """The finished logs of a folder, sorted by name."""
     return [log for log in logs_in(folder) if log.suffix == ".mcap"]
 
 
@@ -111,7 +109,6 @@ def name_problem(log: Location) -> str:
 
 
 def sessions_beside(logs: Sequence[Location], folder: Location) -> list[str]:
-    """The names of the logs in `folder` that are not in `logs`."""
     chosen = set(map(session_name, logs))
     return [name for log in finished_logs(folder) if (name := session_name(log)) not in chosen]
 
@@ -128,20 +125,15 @@ def sessions_not_indexed(index: Path | str, folder: Path | str) -> list[str]:
 
 
 def _is_of_logs_in(index: Path, folder: Path) -> bool:
-    """True if any log of the index is in `folder`."""
-    indexed = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
-    sources = indexed.values() if isinstance(indexed, dict) else ()
-    for name in (source.get("log") for source in sources if isinstance(source, dict)):
-        with contextlib.suppress(DatasetError):  # an invalid name, in an index of another program
-            if isinstance(name, str) and absolute(log_place(name, index).parent) == absolute(folder):
-                return True
-    return False
+    sources = (read_metadata(index / SAMPLES_NAME) or {}).get("logs", {}).values()
+    folders = {absolute(log_place(source["log"], index).parent) for source in sources}
+    return absolute(folder) in folders
 
 
 def logs_not_indexed(index: Path, logs: Sequence[Location]) -> list[str]:
     """The same as `sessions_not_indexed`, for these logs."""
     indexed = (read_metadata(index / SAMPLES_NAME) or {}).get("logs")
-    if not isinstance(indexed, dict):
+    if indexed is None:
         return []
     state = read_state(index)
     missing = []

@@ -1,27 +1,20 @@
-"""Change an index atomically: new files are first written to a folder in the index, and then moved to their
-places.
-
-Several files cannot be renamed in one step. So the frames files to replace or remove are moved out first. Then the
-new samples.parquet is moved in, then the new frames files. At every moment, the files in `frames` are of sessions
-in samples.parquet, and of the same logs.
+"""Change an index: new files are first written to a folder in the index, and then moved to their places.
 
     index/new.XXXXXX.part/samples.parquet, state.json, frames/SESSION.parquet   new files
-    index/new.XXXXXX.part/old/SESSION.parquet                                   files that were moved out
 
-The folder `old` shows that all new files are complete. After a crash, the next build completes the change if `old`
-exists; otherwise it removes the new files.
+samples.parquet has all that training reads: after a crash, it is the one of before, or the new one. The next build
+makes the frames files again that do not fit.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
-from common.files import final_path, part_path, publish
+from common.files import part_path
 from common.interrupts import uninterrupted
 from common.locks import lock
 from dataset.errors import DatasetError, index_write_errors
@@ -30,7 +23,6 @@ from dataset.parquet_file import read_metadata
 from dataset.samples.samples_format import SAMPLES_NAME
 
 _STAGE: Final = "new"
-_OLD: Final = "old"
 
 
 @contextlib.contextmanager
@@ -40,6 +32,8 @@ def staged(index: Path) -> Iterator[Path]:
 
     If the folder has no samples.parquet, the index does not change. Lock the index before.
     """
+    for left in index.glob(f"{_STAGE}.*.part"):  # of a killed build
+        shutil.rmtree(left, ignore_errors=True)
     stage = part_path(index / _STAGE)
     try:
         with index_write_errors(stage):
@@ -49,97 +43,35 @@ def staged(index: Path) -> Iterator[Path]:
             if (stage / SAMPLES_NAME).exists():
                 _publish_all(stage, index)
     finally:
-        with uninterrupted():
-            if not (stage / _OLD).exists():
-                shutil.rmtree(stage, ignore_errors=True)
-
-
-def finish_interrupted_build(index: Path) -> None:
-    """Complete the change of a killed build if its new files are complete, else remove them. Lock the index
-    before."""
-    for path in sorted(index.iterdir()):
-        name = final_path(path).name
-        if name == _STAGE and path.name != name and path.is_dir() and not path.is_symlink():
-            folders = (path / _OLD, path / FRAMES_FOLDER)
-            with uninterrupted():
-                if all(folder.is_dir() and not folder.is_symlink() for folder in folders):
-                    _publish_all(path, index)
-                shutil.rmtree(path, ignore_errors=True)
+        shutil.rmtree(stage, ignore_errors=True)
 
 
 def stale_frames_files(sessions: set[str], index: Path) -> list[Path]:
-    """The frames files of the toolkit that belong to none of these sessions, and the unfinished files of killed
-    builds of older versions."""
-    try:
-        files = sorted((index / FRAMES_FOLDER).iterdir())
-    except OSError:
-        return []
-    return [file for file in files if file.name.removesuffix(".parquet") not in sessions and _is_ours(file)]
+    """The frames files of the toolkit that belong to none of these sessions."""
+    return [
+        file
+        for file in sorted((index / FRAMES_FOLDER).glob("*.parquet"))
+        if file.stem not in sessions
+        and (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}
+    ]
 
 
 def _publish_all(stage: Path, index: Path) -> None:
-    """Move the new files to their places. If this was interrupted, the next call continues."""
-    frames, old = index / FRAMES_FOLDER, stage / _OLD
-    samples = stage / SAMPLES_NAME
+    sessions = set((read_metadata(stage / SAMPLES_NAME) or {}).get("logs", {}))
+    names = [f"{FRAMES_FOLDER}/{file.name}" for file in sorted((stage / FRAMES_FOLDER).iterdir())]
     try:
-        old.mkdir(exist_ok=True)
-        if samples.exists():
-            sessions = set((read_metadata(samples) or {}).get("logs", {}))
-            stale = stale_frames_files(sessions, index)
-            replaced = [frames / file.name for file in (stage / FRAMES_FOLDER).iterdir()]
-            for file in [*stale, *filter(Path.exists, replaced)]:
-                file.replace(old / file.name)
-            samples.replace(index / SAMPLES_NAME)
-    except BaseException as error:
-        with contextlib.suppress(OSError):  # if this also fails, the next build completes the change
-            for file in old.iterdir():
-                file.replace(frames / file.name)
-            old.rmdir()
-        if isinstance(error, OSError):
-            raise DatasetError(
-                f"{index}: cannot be changed ({error.strerror}); close programs that read it"
-            ) from None
-        raise
-    frames.mkdir(exist_ok=True)
-    for file in sorted((stage / FRAMES_FOLDER).iterdir()):
-        file.replace(frames / file.name)
-    if (stage / STATE_NAME).exists():
-        publish(stage / STATE_NAME, index / STATE_NAME, overwrite=True)
-    shutil.rmtree(stage, ignore_errors=True)
-
-
-def _is_ours(file: Path) -> bool:
-    if file.is_symlink() or not file.is_file():
-        return False
-    if (final := final_path(file)) != file and final.suffix == ".parquet":
-        return True
-    return (read_metadata(file) or {}).keys() >= {"format", "fingerprint", "looked", "settings"}
+        (index / FRAMES_FOLDER).mkdir(exist_ok=True)
+        for file in stale_frames_files(sessions, index):
+            file.unlink()
+        for name in (*names, SAMPLES_NAME, STATE_NAME):
+            (stage / name).replace(index / name)
+    except OSError as error:
+        raise DatasetError(f"{index}: cannot be changed ({error.strerror}); close programs that read it") from None
 
 
 @contextlib.contextmanager
 def build_lock(index: Path) -> Iterator[None]:
-    """Lock the index during a build. If the build fails and there was no index before, the created folders are
-    removed."""
-    created = [folder for folder in (index, *index.parents) if not folder.exists()]
-    with _locked(index) as stream:
-        try:
-            yield
-        finally:
-            if not (index / SAMPLES_NAME).exists():
-                with contextlib.suppress(OSError):  # other files are in the folder, or Windows: the lock is open
-                    Path(stream.name).unlink()
-                    for folder in created:
-                        folder.rmdir()
-
-
-def _locked(index: Path) -> IO[bytes]:
-    """Open and lock the lock's file. It stays locked until it is closed."""
-    path = index / ".lock"
-    while True:
-        index.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as stack, contextlib.suppress(FileNotFoundError):
-            stream = stack.enter_context(path.open("ab"))
-            lock(stream)
-            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
-                stack.pop_all()
-                return stream
+    index.mkdir(parents=True, exist_ok=True)
+    with (index / ".lock").open("ab") as stream:
+        lock(stream)
+        yield

@@ -222,7 +222,6 @@ class LogCrops(Closeable):
 
     @property
     def about_car(self) -> dict[str, str]:
-        """The entries about the car and the source in the log's metadata."""
         return {"log_source": self.log.metadata.get("source", ""), **metadata_of(stored_car(self.log))}
 
     def _read(self, pictures: Pictures) -> None:

@@ -158,12 +158,10 @@ class Loader(Closeable):
         self._samples.close()
 
     def __len__(self) -> int:
-        """The number of samples in an epoch."""
         return len(self.rows)
 
     @property
     def batches(self) -> int:
-        """The number of batches in an epoch."""
         return -(-len(self) // self.batch)
 
     @property

@@ -26,8 +26,7 @@ from recorder.rows.row_quality import GAP_S
 _ONE: Final = 1 << 40
 """A steering of 1 as an integer: sums of integers are exact, so that stretches do not influence each other."""
 
-HELD_MPH: Final = 1.0
-"""If the speed is this close to the set speed, the driver keeps the set speed."""
+HELD_MPH: Final = 1.0  # if the speed is this close to the set speed, the driver keeps the set speed
 
 Steering = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -47,14 +46,21 @@ def planned_labels(frames: pa.Table, plan: LabelPlan) -> tuple[Steering, NDArray
 def planned_speed_mph(
     frames: pa.Table, plan: LabelPlan, ahead_s: float, slower_mph: Sequence[float] = ()
 ) -> NDArray[np.float64]:
-    """The speed to learn for each frame of a session (N,), as from `later_speed_mph`. Like the labels of
-    `planned_labels`, it depends only on its own stretch.
+    """The speed `ahead_s` seconds after each frame of a session (N,); NaN if this time is beyond a border (see
+    `labels_of`), or if the speed is unknown.
 
     `slower_mph` are the set speeds of this session's driver that are below those of other drivers. While the
     driver keeps such a speed, the road may allow more, so the label is NaN. (The mean of all speeds at a place
     would be too slow on straights.)
     """
-    speed_mph = later_speed_mph(frames, _is_good(frames), _side(frames, _is_odd(frames, plan)), ahead_s)
+    speed_mph: NDArray[np.float64] = frames["speed_mph"].to_numpy()
+    is_speed = (speed_mph >= SPEED_RANGE_MPH[0]) & (speed_mph <= SPEED_RANGE_MPH[1])  # False for NaN
+    speed_mph = np.where(is_speed, speed_mph, np.nan)
+    if not len(frames):
+        return speed_mph
+    rows = _rows_of(frames, _is_good(frames) & is_speed, _side(frames, _is_odd(frames, plan)))
+    of_rows = np.where(rows.is_usable, speed_mph[rows.frame], np.nan)
+    speed_mph = _shifted(of_rows, rows.stretches, round(ahead_s * 1e9))[rows.of_frame]
     for set_mph in slower_mph:
         speed_mph[np.abs(speed_mph - set_mph) < HELD_MPH] = np.nan
     return speed_mph
@@ -106,21 +112,6 @@ def labels_of(
         labels = _shifted(labels, rows.stretches, round(shift_s * 1e9))
     labels[~rows.is_usable] = np.nan
     return labels[rows.of_frame]
-
-
-def later_speed_mph(
-    frames: pa.Table, is_usable: NDArray[np.bool_], split: NDArray[np.int8], ahead_s: float
-) -> NDArray[np.float64]:
-    """The speed `ahead_s` seconds after each frame of a session (N,); NaN if this time is beyond a border (see
-    `labels_of`), or if the speed is unknown."""
-    speed_mph: NDArray[np.float64] = frames["speed_mph"].to_numpy()
-    is_speed = (speed_mph >= SPEED_RANGE_MPH[0]) & (speed_mph <= SPEED_RANGE_MPH[1])  # False for NaN
-    speed_mph = np.where(is_speed, speed_mph, np.nan)
-    if not len(frames):
-        return speed_mph
-    rows = _rows_of(frames, is_usable & is_speed, split)
-    of_rows = np.where(rows.is_usable, speed_mph[rows.frame], np.nan)
-    return _shifted(of_rows, rows.stretches, round(ahead_s * 1e9))[rows.of_frame]
 
 
 @dataclass(frozen=True)

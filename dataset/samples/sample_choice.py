@@ -30,10 +30,8 @@ class FrameChoice:
     """The choice among the N frames of a session, before balancing; arrays (N,)."""
 
     is_chosen: NDArray[np.bool_]
-    is_training: NDArray[np.bool_]
-    """A chosen frame that is not for training is for validation."""
-    steering: NDArray[np.float64]
-    """The steering to learn, for the centre camera."""
+    is_training: NDArray[np.bool_]  # a chosen frame that is not for training is for validation
+    steering: NDArray[np.float64]  # the steering to learn, for the centre camera
     counts: SessionCounts
 
 

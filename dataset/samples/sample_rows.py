@@ -68,7 +68,6 @@ def rows_of(table: pa.Table, sources: Mapping[str, object], targets: Sequence[Ta
 
 
 def _labels(table: pa.Table, steering: NDArray[np.float64], targets: Sequence[TargetName]) -> NDArray[np.float32]:
-    """(N,) for steering alone, otherwise (N, K)."""
     if len(targets) == 1:
         return steering.astype(np.float32)
     others = (target_labels(table, name) / TARGETS[name].per_unit for name in targets[1:])

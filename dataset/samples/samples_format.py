@@ -22,8 +22,7 @@ from recorder.rows.steering_habits import SteeringHabits, SteeringLag
 SAMPLES_NAME: Final = "samples.parquet"
 
 SAMPLES_FORMAT: Final = 5
-READABLE_FORMATS: Final = (4, 5)
-"""Format 4 has labels of steering only."""
+READABLE_FORMATS: Final = (4, 5)  # format 4 has labels of steering only
 
 SAMPLES_SCHEMA: Final = pa.schema(
     [
@@ -91,7 +90,6 @@ class SessionCounts:
 
     @property
     def not_learnt(self) -> dict[str, int]:
-        """The frames left out by each cause of `NOT_LEARNT`."""
         counts = (self.crashed, self.backwards, self.manoeuvring, self.parked)
         return dict(zip(NOT_LEARNT, counts, strict=True))
 
@@ -112,8 +110,6 @@ COUNT_HEADINGS: Final = {
 
 @dataclass(frozen=True)
 class SessionLabels:
-    """The steering habits of a session, and the plan of its labels."""
-
     habits: SteeringHabits
     lag: SteeringLag | None  # None: not measured, or not measurable
     plan: LabelPlan

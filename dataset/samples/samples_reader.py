@@ -45,16 +45,7 @@ _CONTENT: Final = ("row", *(name for name in FINGERPRINTED if name not in ("offs
 
 _WORDS: Final = ("session", "camera", "alteration", "split")  # few distinct words: read as dictionaries
 
-_UNREADABLE: Final = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    pa.ArrowException,
-)
+_UNREADABLE: Final = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, pa.ArrowException)
 
 
 class IndexedLog(NamedTuple):
@@ -103,7 +94,6 @@ class Samples(Closeable):
 
     @cached_property
     def table(self) -> pa.Table:
-        """All samples with all columns of the file."""
         return self._table(None)
 
     def of_split(self, split: Split, columns: Sequence[str] | None = None) -> pa.Table:
@@ -137,7 +127,6 @@ class Samples(Closeable):
 
     @cached_property
     def balance(self) -> Balance:
-        """The samples in each bin. Raises DatasetError if they are damaged."""
         with self._readable():
             return Balance.from_dict(self.metadata["balance"])
 
@@ -149,10 +138,9 @@ class Samples(Closeable):
             angles_deg = {log.get("max_steering_deg", MAX_STEERING_DEG) for log in self.metadata["logs"].values()}
         if None in angles_deg:
             return None
-        degrees = angles_deg.pop() if len(angles_deg) == 1 else None
-        if not isinstance(degrees, int | float) or not 0 < degrees < 90:
-            raise self.damaged(ValueError("its sessions have different angles at steering 1"))
-        return float(degrees)
+        if len(angles_deg) != 1:
+            raise self.damaged("its sessions have different angles at steering 1")
+        return float(angles_deg.pop())
 
     @property
     def fingerprint(self) -> str:
@@ -174,7 +162,6 @@ class Samples(Closeable):
 
     @cached_property
     def _digests(self) -> dict[str, str]:
-        """SHA-256 of each column on which a fingerprint depends."""
         logs = {session: log.fingerprint for session, log in self.sources.items()}
         digests = {name: hashlib.sha256() for name in dict.fromkeys((*FINGERPRINTED, *_CONTENT))}
         with self._readable():
@@ -195,7 +182,6 @@ class Samples(Closeable):
         return [name for name in targets if TARGETS[name].label_column not in self._columns]
 
     def refuse_missing(self, targets: Sequence[TargetName]) -> None:
-        """Raise DatasetError if this index has no labels of these targets."""
         if missing := self.missing(targets):
             raise DatasetError(
                 f"{self.path}: has format {self.metadata['format']}, without labels of {', '.join(missing)};"
@@ -260,7 +246,6 @@ class Samples(Closeable):
             raise self.damaged(error) from None
 
     def damaged(self, error: Exception | str) -> DatasetError:
-        """The error for a damaged file."""
         why = " ".join(str(error).split())
         return DatasetError(f"{self.path}: damaged ({why}); remove it and run `bc-index`")
 

@@ -121,7 +121,6 @@ def _slower_set_speeds_mph(labels: Mapping[str, SessionLabels]) -> dict[str, lis
 
 
 def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) -> DatasetError:
-    """The error for sessions without a usable frame, with the reasons why their frames are not used."""
     chosen = " or not chosen by --where" if config.where is not None else ""
     shift = f" with --label-shift {config.label_shift_s:g}" if config.label_shift_s else ""
     reasons = {
@@ -147,7 +146,6 @@ def _nothing_usable(config: IndexConfig, counts: Mapping[str, SessionCounts]) ->
 def _usable_frames(
     frames: pa.Table, config: IndexConfig, labels: SessionLabels, slower_mph: Sequence[float]
 ) -> tuple[_UsableFrames, SessionCounts]:
-    """The usable frames of a session, with their labels."""
     choice = choose_frames(frames, config, labels)
     at = np.flatnonzero(choice.is_chosen)
     camera = codes(frames["camera"], CAMERAS)

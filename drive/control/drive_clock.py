@@ -28,8 +28,7 @@ class DriveClock:
         self.missed_s = 0.0
         """Seconds to add at the last message: a simulated clock that proved to stand still had not counted
         them."""
-        self.is_simulated = False
-        """True if the last step was by the simulator's clock."""
+        self.is_simulated = False  # True if the last step was by the simulator's clock
 
     @property
     def stands(self) -> bool:
@@ -64,7 +63,6 @@ class CourseEvents:
         self._whole_laps: int | None = None
 
     def update(self, world: World) -> list[str]:
-        """The events since the last call."""
         events = []
         if world.interventions is not None:
             if self._interventions is not None and world.interventions > self._interventions:

@@ -136,10 +136,8 @@ class Driver:
         config: DriveConfig,
         *,
         person: PersonTakeover | None = None,
-        reported_size: bool = False,
     ) -> None:
-        self.reported_size = reported_size
-        """True after an unusual size of pictures has been reported."""
+        self._has_reported_size = False
         self._pilot = pilot
         self._clock = DriveClock()
         self._filter = SteeringFilter(config.smooth_s, config.max_steering_per_s)
@@ -149,8 +147,7 @@ class Driver:
         self._brake = EmergencyBrake()
         self._last_brake: EmergencyBrake | None = None
         self._takeover = Takeover() if config.takeover else None
-        self.person = person
-        """Who may take over from the network."""
+        self.person = person  # who may take over from the network
         self._course = CourseEvents()
         self._steering = 0.0
         self._network = 0.0, 0.0  # the last steering and throttle without the person's
@@ -241,7 +238,6 @@ class Driver:
             self._decimal_separator = decimal_separator
 
     def _world_events(self, world: World | None, problems: Sequence[str]) -> list[str]:
-        """The events of the course, and notices about invalid members of the world."""
         events = [] if world is None else self._course.update(world)
         return events + self._world_notices.new_notices(problems, clock_stands=self._clock.stands)
 
@@ -260,8 +256,8 @@ class Driver:
             self._drive(telemetry, answer, time_s) if answer.is_finite else self._answer_without_number(time_s)
         )
         events = decision.events
-        if picture.shape[:2] != USUAL_SIZE and not self.reported_size:
-            self.reported_size = True
+        if picture.shape[:2] != USUAL_SIZE and not self._has_reported_size:
+            self._has_reported_size = True
             height, width = picture.shape[:2]
             events = (*events, f"pictures of {width}x{height} pixels, not 320x160: used nevertheless")
         return replace(

@@ -28,9 +28,6 @@ correction."""
 HAND_BACK_S: Final = 1.0
 """Both conditions must hold for this time without a break: a car that only crosses the middle does so faster."""
 
-REQUIRED_MEMBERS: Final = ("offset", "expert_steering", "expert_throttle")
-"""The members of a simulator's world that the expert needs to take over."""
-
 MISSING_S: Final = 1.0
 """The time until a notice of missing members: some simulators send them only from the second message on."""
 
@@ -95,7 +92,8 @@ class Takeover:
             self._missing_since_s = time_s
         if not self._reported_missing and time_s - self._missing_since_s >= MISSING_S:
             self._reported_missing = True
-            missing = [name for name in REQUIRED_MEMBERS if getattr(world, name, None) is None]
+            needed = ("offset", "expert_steering", "expert_throttle")
+            missing = [name for name in needed if getattr(world, name, None) is None]
             events.append(
                 f"nobody can take over: the simulator does not send {', '.join(missing)} (`bc-sim --tell-world`"
                 " does); in Udacity's, a human takes over by holding a key"
@@ -104,8 +102,6 @@ class Takeover:
 
 
 class PersonTakeover:
-    """Chooses the driver: the network, or the person at a wheel."""
-
     def __init__(self, cockpit: Cockpit) -> None:
         self._cockpit = cockpit
         self.person_drives = False
@@ -137,6 +133,5 @@ class PersonTakeover:
         return [PILOT_DRIVES]
 
     def command(self, speed_mph: float | None) -> tuple[float, float]:
-        """Steering and throttle of the person. `speed_mph` is the car's speed, None if unknown."""
         control = self._cockpit.control
         return control.steering, throttle_of_telemetry(control, math.nan if speed_mph is None else speed_mph)

@@ -27,8 +27,7 @@ from simulator.roads.track import load_track
 SIMULATOR_METADATA: Final = "bc.simulator"
 """The metadata record of a log that holds the simulator's own report of the drive."""
 
-END_S: Final = 10.0
-"""The time after which a terminated simulator is killed."""
+END_S: Final = 10.0  # the time after which a terminated simulator is killed
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,7 @@ class BuiltInSimulator:
     """Run no faster than the clock; else the simulator runs as fast as the answers come."""
     leave_off_road: bool = False
     """Put the car back only if it is stuck: off the road, a person or expert takes over."""
-    start_m: float = 0.0
-    """The start, in metres along the track."""
+    start_m: float = 0.0  # the start, in metres along the track
 
     def __post_init__(self) -> None:
         """Raises DriveError for a track or laps that cannot be driven."""
@@ -54,7 +52,6 @@ class BuiltInSimulator:
 
 
 def check_laps(laps: float) -> None:
-    """Raise DriveError for a number of laps that cannot be driven."""
     if not 0 < laps <= MAX_LAPS:
         raise DriveError(f"--laps {laps:g}: give a number above 0 and up to {MAX_LAPS:,}")
 
@@ -138,10 +135,6 @@ def _process(
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-DRIVES: Final = Path("drives")
-"""The default folder of the drives' logs."""
 
 
 PlannedDrive = tuple[BuiltInSimulator, DriveConfig]

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 
 def _find_runs(config: Eval | EvalDrive | EvalCompare, *names: str | None) -> list[Path]:
-    """Find the runs with these names, and load the code of --network that they need."""
     from model import find_run
     from model.runs.run_folder import load_named
 
@@ -96,7 +95,6 @@ def _index_of(run: Path) -> Path:
 
 
 def _print_notices(evaluation: Evaluation, measured_on: dict[str, str | None]) -> int:
-    """Print notices that matter for the numbers. Returns the exit code."""
     code = warn_skipped(evaluation.skipped)
     for notice in evaluation.notices:
         code = warn(notice)

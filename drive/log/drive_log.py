@@ -59,11 +59,9 @@ class LogThread:
 
     @property
     def has_room(self) -> bool:
-        """True if the queue has room for another row or event."""
         return self._put_count - self._done_count < MAX_WAITING
 
     def has_room_for(self, picture_bytes: int) -> bool:
-        """True if the queue has room for `picture_bytes` of pictures."""
         return self._put_bytes - self._done_bytes + picture_bytes <= MAX_PICTURE_BYTES
 
     def put(self, write: Callable[[], None], picture_bytes: int = 0) -> None:
@@ -129,12 +127,9 @@ class DriveLog(Closeable):
     """
 
     def __init__(self, writer: LogWriter) -> None:
-        self.frames = 0
-        """Rows that are, or will be, in the log."""
-        self.dropped_pictures = 0
-        """Camera pictures and crops that are not in the log."""
-        self.dropped_rows = 0
-        """Rows and events that are not in the log."""
+        self.frames = 0  # rows that are, or will be, in the log
+        self.dropped_pictures = 0  # camera pictures and crops that are not in the log
+        self.dropped_rows = 0  # rows and events that are not in the log
         self._writer = writer
         self._clock = LogClock()
         self._thread = LogThread(writer.flush_if_due)

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from common.errors import counted
-from drive.log.drive_summary import DriveSummary
+from drive.log.drive_summary import DriveSummary, percentiles_ms
 
-MAX_KINDS: Final = 5
-"""Maximum number of named kinds of unusable messages or pictures."""
-_BRIEF_S: Final = 1.0
-"""A shorter time without driving is not mentioned."""
+MAX_KINDS: Final = 5  # maximum number of named kinds of unusable messages or pictures
+_BRIEF_S: Final = 1.0  # a shorter time without driving is not mentioned
 
-RATE_S: Final = 1.0
-"""The time over which the replies per second are measured."""
+RATE_S: Final = 1.0  # the time over which the replies per second are measured
 
 
 def summary_lines(summary: DriveSummary) -> list[str]:
@@ -33,7 +30,10 @@ def summary_lines(summary: DriveSummary) -> list[str]:
         lowest_mph, highest_mph = summary.wanted_mph
         lines.append(f"the network wanted {lowest_mph:.1f} to {highest_mph:.1f} mph")
     if summary.frames:
-        stages = (f"{stage} {latency}" for stage, latency in summary.latency.items())
+        stages = [
+            f"{stage} {'/'.join(f'{ms:.2f}' for ms in percentiles_ms(times_ms))}"
+            for stage, times_ms in summary.times_ms.items()
+        ]
         lines.append(f"latency p50/p99/max in ms: {', '.join(stages)}{_in_flight(summary)}")
     if summary.pushes:
         times = counted(summary.pushes, "command")

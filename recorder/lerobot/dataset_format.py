@@ -119,7 +119,6 @@ def features(
 def info(
     features: Mapping[str, Feature], *, fps: int, episodes: int, frames: int, is_video: bool
 ) -> dict[str, Any]:
-    """The content of `meta/info.json`."""
     return {
         "codebase_version": VERSION,
         "robot_type": "car",

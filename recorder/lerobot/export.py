@@ -19,7 +19,15 @@ from common.location import Location
 from common.progress import Advance, progress_bar, progress_task
 from recorder.errors import LogError
 from recorder.lerobot import dataset_format as form
-from recorder.lerobot.dataset_files import CARD_PATH, CardSession, DatasetFiles, card, write_json, write_tasks
+from recorder.lerobot.dataset_files import (
+    CARD_PATH,
+    CardSession,
+    DatasetFiles,
+    card,
+    video_info,
+    write_json,
+    write_tasks,
+)
 from recorder.lerobot.dataset_format import ExportPlan, plan_export
 from recorder.lerobot.feature_statistics import (
     PictureStatistics,
@@ -30,7 +38,6 @@ from recorder.lerobot.feature_statistics import (
     sampled,
 )
 from recorder.lerobot.log_episodes import ChosenRows, LogEpisodes, RowPictures, Sizes, log_episodes
-from recorder.lerobot.video_files import video_info
 from recorder.log.meant_gaps import NotRecorded
 from recorder.log.reader import Log
 from recorder.log.session_car import CAR_KEY, Car, known_max_steering_deg, metadata_of, stored_car
@@ -199,7 +206,6 @@ class _Export:
         self._files.write(columns)
 
     def _numbers(self, taken: LogEpisodes, kept: list[int]) -> Columns:
-        """The number columns of an episode's rows."""
         states = taken.states.part(kept)
         frame = np.arange(len(kept))
         vehicle = np.stack([states.steering, states.throttle, states.brake, states.speed_mph], axis=1)
@@ -234,7 +240,6 @@ class _Export:
         }
 
     def write_rest(self, licence: str | None) -> None:
-        """Write the files that describe the episodes."""
         plan, root, is_video = self._plan, self._files.root, self._files.is_video
         info = form.info(
             self._files.columns, fps=plan.fps, episodes=self.episodes, frames=self.frames, is_video=is_video

@@ -53,7 +53,6 @@ class PictureStatistics:
         self._counts = np.zeros((3, 256), np.int64)  # red, green, blue
 
     def add(self, bgr: NDArray[np.uint8]) -> None:
-        """Add a picture (height, width, 3)."""
         self.count += 1
         for channel in range(3):
             counts = cv2.calcHist([bgr], [channel], None, [256], [0, 256])

@@ -17,7 +17,7 @@ from recorder.errors import LogError, damaged_pictures
 from recorder.log.reader import Log
 from recorder.log.tags import EXCLUDE, tags_of
 from recorder.mcap.picture_places import Pictures
-from recorder.pictures.picture_size import SizeReader, decode_picture, is_whole_picture
+from recorder.pictures.picture_size import decode_picture, is_whole_picture, width_and_height
 from recorder.rows.row_quality import States, drive_numbers
 from recorder.topics import camera_topic
 
@@ -134,7 +134,6 @@ class RowPictures:
             ]
             for camera, stored in taken.pictures.items()
         }
-        self._size_readers = {camera: SizeReader() for camera in taken.pictures}
 
     def read(self, number: int) -> list[bytes] | None:
         """The cameras' pictures of a used row; None, and skipped, if one is unusable."""
@@ -145,7 +144,7 @@ class RowPictures:
             except LogError:
                 self._skip(damaged_pictures(self._log.path), number)
                 return None
-            size = self._size_readers[camera].width_and_height(picture)
+            size = width_and_height(picture)
             if size is None or not is_whole_picture(picture):
                 self._skip("rows with a picture that is not a whole JPEG or PNG", number)
                 return None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 from array import array
 from collections import Counter
 from collections.abc import Mapping
@@ -94,7 +93,7 @@ class Findings:
         return cls(
             rows=count("rows"),
             drives=count("drives"),
-            driven_s=_seconds(quality.get("driven_s", "")),
+            driven_s=json_as(quality.get("driven_s", ""), float) or 0.0,
             flags={flag: count(flag) for flag in ROW_FLAGS},
             stretches=[FlaggedRows(*values) for values in listed or ()],
             odd=odd,
@@ -118,14 +117,6 @@ def findings(log: Log) -> Findings | None:
 
 def _noted_lag(quality: Mapping[str, str]) -> LagFinding | None:
     return json_as(f'{{"lag":{quality.get("lag", "")}}}', LagFinding)
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        return 0.0
-    return seconds if math.isfinite(seconds) and seconds >= 0 else 0.0
 
 
 def _findings(
@@ -191,7 +182,6 @@ class WrittenRows:
         return self._places.placed(States(numbers[:, 0], numbers[:, 1], *values.T))
 
     def meant_gaps(self, states: States) -> NDArray[np.bool_]:
-        """The rows (N,) after gaps that were meant."""
         return self._not_recorded.gaps(states)
 
     def findings(self) -> Findings:

@@ -153,17 +153,16 @@ def lacks_lag(log: Log) -> bool:
     return lag is None and is_needed
 
 
-def find_lag(log: Log) -> tuple[LagFinding | None, bool]:
-    """The lag of a log's steering, measured in its pictures if unknown; None if labels do not depend on it. The
-    second value is False if the measured lag could not be kept. Raises LogError for unreadable rows;
-    StoreError."""
+def find_lag(log: Log) -> LagFinding | None:
+    """The lag of a log's steering, measured in its pictures if unknown, and kept next to it; None if labels do not
+    depend on it. Raises LogError for unreadable rows; StoreError."""
     lag, is_needed = known_lag(log)
     if lag is not None or not is_needed:
-        return lag, True
-    from recorder.log.known_lag import measure_lag  # OpenCV
-
+        return lag
     lag = LagFinding(measure_lag(log, States.of(log.vehicle())))
-    return lag, keep_lag(log, lag)
+    if log.path.suffix == ".mcap":  # otherwise unfinished: its lag will be measured again
+        _keep(lag_path(log.path), msgspec.json.encode(_Kept(1, log.fingerprint, lag.lag)) + b"\n")
+    return lag
 
 
 def kept_lag(log: Log) -> LagFinding | None:
@@ -180,13 +179,6 @@ def _read(path: Location) -> bytes | None:
     return None
 
 
-def keep_lag(log: Log, finding: LagFinding) -> bool:
-    """Keep the lag next to a finished log; False if it cannot be written."""
-    if log.path.suffix != ".mcap":
-        return False  # an unfinished log: its lag will be measured again
-    return _keep(lag_path(log.path), msgspec.json.encode(_Kept(1, log.fingerprint, finding.lag)) + b"\n")
-
-
 def copy_lag(log: Location, to: Location) -> None:
     """Copy the lag next to a log to the log's copy, measured first on this machine: in a store, each picture costs
     a request. If that fails, it will be measured again there."""
@@ -199,8 +191,9 @@ def copy_lag(log: Location, to: Location) -> None:
             _keep(lag_path(to), data)
 
 
-def _keep(path: Location, data: bytes) -> bool:
-    try:
+def _keep(path: Location, data: bytes) -> None:
+    """Keep a lag; if it cannot be written, it will be measured again."""
+    with contextlib.suppress(OSError, UserError):
         if isinstance(path, Url):
             from common.object_store import put_over  # an extra
 
@@ -208,6 +201,3 @@ def _keep(path: Location, data: bytes) -> bool:
         else:
             with atomic_file(path, overwrite=True) as part:
                 part.write_bytes(data)
-    except (OSError, UserError):
-        return False
-    return True

@@ -36,13 +36,10 @@ class MeantGap(NamedTuple):
     why: str
 
     def __str__(self) -> str:
-        """The text of its event."""
         return f"not recorded: {self.seconds:.3f} s, {self.why}"
 
 
 class HumanDriving:
-    """The time that a human has driven since the last row."""
-
     def __init__(self) -> None:
         self._since_ns: int | None = None
         self._driven_ns = 0
@@ -62,8 +59,6 @@ class HumanDriving:
 
 
 class NotRecorded:
-    """The times that a log leaves out on purpose."""
-
     def __init__(self) -> None:
         self._of_rows = dict[int, float]()  # seconds, by log time
         self._of_events = defaultdict[int, float](float)

@@ -30,8 +30,7 @@ from recorder.mcap.chunk_reader import ChunkReader
 from recorder.mcap.mcap_file import CHUNK_HEADER, Chunk, McapFile, has_crc_in, stored_message
 from recorder.mcap.message_index import LAST_TIME_NS, UNCOMPRESSED, Read, decode_numbers, known_values
 from recorder.mcap.picture_places import LogIndex, Pictures, is_about_places, read_chunk_crcs
-from recorder.mcap.salvage import salvage
-from recorder.mcap.scan import DAMAGED, GOES_ON, read_structure
+from recorder.mcap.scan import DAMAGED, GOES_ON, read_structure, salvage
 from recorder.topics import DEVICES
 
 if TYPE_CHECKING:  # training reads pictures where protobuf is not installed; a log's end needs no Arrow
@@ -64,9 +63,9 @@ class Message:
 class Log(Closeable):
     """A log, open for reading. Use it as a context manager, or call `close()`.
 
-    `salvages`: for a recovery, also find whole chunks in wrong places or with a damaged header. `shows_progress`:
-    show a progress bar while the log is read, at the first use of messages. Raises LogError if the file is
-    missing, damaged or not an MCAP file.
+    `salvages`: for a recovery, also find whole chunks in wrong places. `shows_progress`: show a progress bar while
+    the log is read, at the first use of messages. Raises LogError if the file is missing, damaged or not an MCAP
+    file.
     """
 
     def __init__(self, path: Location | str, *, salvages: bool = False, shows_progress: bool = False) -> None:
@@ -92,8 +91,6 @@ class Log(Closeable):
         self.channels = self._structure.channels
         self.chunks = self._structure.chunks
         """The chunks, in the order of the file."""
-        self._copied_from: set[int] = set()
-        self._copied = 0
         self._pictures: dict[str, Pictures] = {}
 
     def close(self) -> None:
@@ -105,7 +102,6 @@ class Log(Closeable):
 
     @property
     def is_remote(self) -> bool:
-        """True if each read is a request to a store."""
         return self._file.is_remote
 
     def all_bytes(self) -> Iterator[bytes]:
@@ -346,7 +342,6 @@ class Log(Closeable):
         return self.decoded(topics.PILOT_COMMAND)
 
     def predictions(self, run: str) -> Iterator[tuple[Message, Prediction]]:
-        """The predictions of the network of a run, in a log of predictions."""
         from recorder.bc_pb2 import Prediction
 
         return self._decoded(topics.prediction_topic(run), Prediction)
@@ -359,12 +354,7 @@ class Log(Closeable):
         Invalid messages are added to `skipped`; without it, they raise LogError.
         """
         records = self._file.records(chunk)
-        starts = self._file.parts(records).messages
-        if chunk.start not in self._copied_from:
-            self._file.check_count(self._copied + len(starts))
-            self._copied_from.add(chunk.start)
-            self._copied += len(starts)
-        for start in starts:
+        for start in self._file.parts(records).messages:
             stored = stored_message(records, start)
             channel = self.channels.get(stored.channel)
             if channel is None or max(stored.log_time_ns, stored.publish_time_ns) > LAST_TIME_NS:

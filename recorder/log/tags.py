@@ -15,7 +15,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Final, NamedTuple, overload
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, overload
 
 import msgspec
 
@@ -163,11 +163,6 @@ def _whole_lines(journal: bytes) -> bytes:
     return journal
 
 
-def _more(whole: bytes, lines: bytes) -> bytes:
-    """What lines add to the whole lines of a journal."""
-    return lines if whole.endswith(b"\n") or not whole else b"\n" + lines
-
-
 def _bounded(path: Location, data: bytes) -> bytes:
     if len(data) > MAX_BYTES:
         raise LogError(f"{path}: larger than {MAX_BYTES:,} bytes, too large for tags")
@@ -189,41 +184,25 @@ def _append(log: Path, action: str, fingerprint: str, tags: Sequence[Tag]) -> No
 
 def _append_lines(path: Path, lines: bytes) -> None:
     try:
-        with _locked(path) as stream:
+        with path.open("ab+", buffering=0) as stream:
+            lock(stream)  # another process's unfinished line must not count as cut off
             stream.seek(0)
-            data = _bounded(path, stream.read(MAX_BYTES + 1))
-            whole = _whole_lines(data)
-            lines, before = _more(whole, lines), len(whole)
-            _bounded(path, whole + lines)
-            stream.truncate(before)
+            whole = _whole_lines(_bounded(path, stream.read(MAX_BYTES + 1)))
+            if whole and not whole.endswith(b"\n"):
+                lines = b"\n" + lines
+            stream.truncate(len(whole))
             try:
                 while lines:
                     lines = lines[stream.write(lines) :]
                 os.fsync(stream.fileno())
             except BaseException:
-                stream.truncate(before)
-                if not before:
+                stream.truncate(len(whole))
+                if not whole:
                     with contextlib.suppress(OSError):  # Windows does not remove open files
                         path.unlink()
                 raise
     except OSError as error:
         raise LogError(f"{path}: cannot be written ({error.strerror})") from None
-
-
-def _locked(path: Path) -> IO[bytes]:
-    """The file, locked until it is closed: another process's unfinished line must not count as cut off."""
-    while True:
-        stream = path.open("ab+", buffering=0)
-        try:
-            lock(stream)
-            if os.path.samestat(path.stat(), os.fstat(stream.fileno())):
-                return stream
-        except FileNotFoundError:
-            pass
-        except BaseException:
-            stream.close()
-            raise
-        stream.close()  # the lock's holder removed the file: lines written to it would be lost
 
 
 def _plain(path: Path) -> Path:
@@ -266,7 +245,6 @@ class TaggedRows:
         return at >= 0 and last_row <= self._last[at]
 
     def untagged(self, odd: Iterable[OddStretch]) -> list[OddStretch]:
-        """The stretches with a row that lacks the tag."""
         return [stretch for stretch in odd if not self.cover(stretch.first_row, stretch.last_row)]
 
 

@@ -37,7 +37,7 @@ from recorder.log.reader import Log
 from recorder.log.tags import Tag, add_tags
 from recorder.mcap.compressed_image import image_data, is_image_channel
 from recorder.mcap.split_chunks import CopiedChannels, SplitChunks
-from recorder.pictures.picture_size import PNG_START, PictureSizes, SizeReader
+from recorder.pictures.picture_size import PNG_START, PictureSizes, width_and_height
 from simulator.pose import Pose
 
 FLUSH_S: Final = 0.5  # half of what a crash may cost: a flush may be late, and the disk takes time
@@ -118,7 +118,6 @@ class LogWriter:
         """Fingerprint of the log that is rewritten; empty for other logs."""
         self._rows = WrittenRows(metadata, path)
         self._sizes = PictureSizes()
-        self._size_reader = SizeReader()
         self._sync: files.BackgroundSync | None = None
         self._folders: list[Path] = []
         try:
@@ -150,11 +149,10 @@ class LogWriter:
     ) -> None:
         """Write a camera's JPEG or PNG, byte for byte. `size`: its width and height, if known already."""
         kind = "png" if picture.startswith(PNG_START) else "jpeg"
-        self._sizes.add(topics.camera_topic(camera), sequence, size or self._size_reader.width_and_height(picture))
+        self._sizes.add(topics.camera_topic(camera), sequence, size or width_and_height(picture))
         self._image(topics.camera_topic(camera), time_ns, sequence, picture, kind)
 
     def crop(self, time_ns: int, sequence: int, png: bytes) -> None:
-        """Write the network's input picture, as PNG (lossless)."""
         self._image(topics.PILOT_INPUT, time_ns, sequence, png, "png")
 
     def vehicle(self, time_ns: int, sequence: int, state: VehicleState, gap: MeantGap | None = None) -> None:
@@ -178,7 +176,6 @@ class LogWriter:
         self._write(topic, message, time_ns, sequence)
 
     def prediction(self, run: str, time_ns: int, sequence: int, prediction: Prediction) -> None:
-        """Write the prediction of a run's network for a recorded picture."""
         self._write(topics.prediction_topic(_utf8(run)), prediction, time_ns, sequence)
 
     def pose(self, time_ns: int, sequence: int, pose: PoseInFrame) -> None:
@@ -222,7 +219,7 @@ class LogWriter:
         elif is_picture and channel.topic in topics.CAMERA_TOPICS:
             at, length = image_data(message.data, 0, len(message.data))
             if at >= 0:
-                size = self._size_reader.width_and_height(message.data[at : at + length])
+                size = width_and_height(message.data[at : at + length])
                 self._sizes.add(channel.topic, sequence, size)
 
     def copy_attachment(self, attachment: Attachment) -> None:

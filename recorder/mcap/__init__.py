@@ -1,1 +1,1 @@
-"""The MCAP file: chunks, CRCs, byte ranges of pictures, salvage."""
+"""The MCAP file: chunks, CRCs, byte ranges of pictures."""

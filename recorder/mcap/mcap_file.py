@@ -58,9 +58,6 @@ FREE_MESSAGES: Final = 1 << 16  # allowed in addition, in any file
 
 WITHOUT_CRCS: Final = "written without CRCs: damage to it cannot be noticed"
 """The notice for another program's log without CRCs."""
-_MAX_COMPRESSED: Final = 100
-"""The largest unpacked size of a file, in multiples of its size, plus one chunk. Pictures hardly compress; text
-compresses tenfold."""
 _MAX_BESIDE_CHUNKS: Final = 16
 """The most bytes of attachments and metadata, in multiples of a file's size: a false summary may let them
 overlap."""
@@ -89,7 +86,6 @@ class Chunk(NamedTuple):
     end: int
     compression: str = ""
     is_message: bool = False
-    mended: bytes = b""  # the correct first bytes, if its header is damaged
     channels: frozenset[int] | None = None  # of its messages, from the summary; None: unknown
     head: bytes = b""  # its header without the CRC, from the summary
 
@@ -125,8 +121,6 @@ class McapFile(Closeable):
             advice = _advice(path) if isinstance(path, Path) else "; give the command again"
             raise LogError(f"{path}: cannot be opened ({error.strerror}){advice}") from None
         self._copy: Path | None = None
-        self._unpacked_at = set[int]()  # compressed chunks that count in `_unpacked_bytes`
-        self._unpacked_bytes = 0
         self._beside_chunks_at = set[int]()  # attachments and metadata that count in `_beside_chunks_bytes`
         self._beside_chunks_bytes = 0
         self.size = 0
@@ -225,7 +219,6 @@ class McapFile(Closeable):
         return zlib.crc32(content) == crc or (crc == 0 and not self.promises_crcs)
 
     def have_crcs(self, chunks: Iterable[Chunk]) -> bool:
-        """True if all these chunks have CRCs."""
         return self.promises_crcs or all(
             has_crc_in(chunk, self.read(chunk.start, min(CHUNK_HEADER.size, chunk.end - chunk.start)))
             for chunk in chunks
@@ -237,8 +230,6 @@ class McapFile(Closeable):
 
     def records_in(self, chunk: Chunk, record: bytes) -> bytes:
         """`records` of a chunk whose bytes, `record`, were read before."""
-        if chunk.mended:
-            record = chunk.mended + record[len(chunk.mended) :]
         return record if chunk.is_message else self.unpacked(record, chunk.start)
 
     def unpacked(self, record: bytes, start: int) -> bytes:
@@ -257,11 +248,6 @@ class McapFile(Closeable):
             raise self.damaged(f"{where} does not have its declared length")
         if size > MAX_CHUNK_BYTES:
             raise self.damaged(f"{where} would unpack to {size:,} bytes")
-        if compression and start not in self._unpacked_at:
-            if self._unpacked_bytes + size > _MAX_COMPRESSED * self.size + MAX_CHUNK_BYTES:
-                raise self.damaged(f"with {where} it would unpack to more than {self._unpacked_bytes:,} bytes")
-            self._unpacked_at.add(start)
-            self._unpacked_bytes += size
         stored = memoryview(record)[stored_at : stored_at + stored_size]
         try:
             records = unpack(stored, compression, size)

@@ -51,8 +51,6 @@ _CHUNK_START: Final = re.compile(
     rb"\x06.{3}\x00{5}.{16}.{3}\x00{5}.{4}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)", re.DOTALL
 )
 _SEARCH_BYTES: Final = 1 << 16
-_MAX_WASTE: Final = 16  # times the file's size
-_MIN_BUDGET: Final = 1 << 24
 
 
 @dataclass
@@ -117,10 +115,9 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
     """Add the records that were completed after `position` of a growing file to `structure`.
 
     Start at `len(MAGIC)`. Returns the position for the next call, and True if nothing more will come. Updates the
-    file's size. Raises LogError if the file was deleted before its end was written, or has too much damage.
+    file's size. Raises LogError if the file was deleted before its end was written.
     """
     exists = file.grow()
-    wasted, max_waste = 0, search_budget(file)
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
         end = position + RECORD.size + length
@@ -133,9 +130,6 @@ def walk_on(file: McapFile, position: int, structure: Structure) -> tuple[int, b
                 raise file.damaged("no record")
             add_record(file, opcode, position, end, structure)
         except LogError:
-            wasted += min(end, file.size) - position
-            if wasted > max_waste:
-                raise
             end = next_chunk(file, position + 1)
             if end == file.size:
                 break  # the next chunk may still come
@@ -229,7 +223,7 @@ def walk(file: McapFile, data_end: int = 0) -> Structure:
     see `Structure`."""
     problem = GOES_ON if isinstance(file.path, Path) and is_being_written(file.path) else KILLED
     structure = Structure(problem=problem, has_end=False, data_end=data_end)
-    position, wasted, max_waste = len(MAGIC), 0, search_budget(file)
+    position = len(MAGIC)
     unsure = position  # no CRC has matched after it: a damaged length may have led past whole chunks
     while file.size - position >= RECORD.size:
         opcode, length = RECORD.unpack(file.read(position, RECORD.size))
@@ -243,10 +237,9 @@ def walk(file: McapFile, data_end: int = 0) -> Structure:
                 break
             add_record(file, opcode, position, end, structure)
         except LogError:
-            following = next_chunk(file, unsure + 1) if wasted < max_waste else file.size
+            following = next_chunk(file, unsure + 1)
             if following == position:
                 following = next_chunk(file, position + 1)
-            wasted += following - unsure + _SEARCH_BYTES + _cost(file, position, end)
             lost_from = position if following > position else unsure
             if structure.lost and structure.lost[-1][1] == lost_from:
                 structure.lost[-1] = (structure.lost[-1][0], following)
@@ -260,6 +253,29 @@ def walk(file: McapFile, data_end: int = 0) -> Structure:
     if position < file.size and not structure.has_end:
         structure.lost.append((position, file.size))  # the beginning of a record that was being written
     return structure
+
+
+def salvage(file: McapFile, structure: Structure) -> None:
+    """Take the damaged chunks out of a finished file's structure, and note their places as `lost`. If others have
+    moved, they are found by their CRCs. A walk through an unfinished file has done both."""
+    if structure.problem:
+        return
+    whole = []
+    for chunk in structure.chunks:
+        try:
+            file.parts(file.records(chunk))
+        except LogError:
+            structure.lost.append((chunk.start, chunk.end))
+        else:
+            whole.append(chunk)
+    structure.chunks = whole
+    if structure.lost:
+        walked = walk(file, structure.data_end)
+        starts = {chunk.start for chunk in whole}
+        if moved := [chunk for chunk in walked.chunks if chunk.start not in starts]:
+            structure.chunks = sorted([*whole, *moved], key=lambda chunk: chunk.start)
+            structure.lost = walked.lost
+            structure.metadata_at, structure.attachments_at = walked.metadata_at, walked.attachments_at
 
 
 def add_record(file: McapFile, opcode: int, start: int, end: int, structure: Structure) -> None:
@@ -297,15 +313,6 @@ def _is_message(file: McapFile, start: int, end: int, structure: Structure) -> b
     return MESSAGE.unpack(file.read(start, MESSAGE.size))[2] in structure.channels
 
 
-def _cost(file: McapFile, start: int, end: int) -> int:
-    """The most bytes that were read and unpacked to find that a record is damaged."""
-    if end > file.size:
-        return 0
-    head = file.read(start, min(CHUNK_HEADER.size, end - start))
-    size = CHUNK_HEADER.unpack(head)[4] if head[0] == Opcode.CHUNK and len(head) == CHUNK_HEADER.size else 0
-    return end - start + (size if size <= MAX_CHUNK_BYTES else 0)
-
-
 def _is_index(file: McapFile, start: int, end: int) -> bool:
     """True for an index of messages. A chunk with a damaged first byte may look like one, but what follows its
     list is longer than what a later version of MCAP may add."""
@@ -321,11 +328,6 @@ def _is_of_unknown_kind(file: McapFile, start: int, end: int) -> bool:
     first byte is none."""
     head = file.read(start + 1, min(RECORDS_AT, end - start) - 1)
     return not file.promises_crcs and _CHUNK_START.match(bytes([Opcode.CHUNK]) + head) is None
-
-
-def search_budget(file: McapFile) -> int:
-    """The most bytes that a search for whole records may read or unpack without finding any."""
-    return _MAX_WASTE * file.size + _MIN_BUDGET
 
 
 def next_chunk(file: McapFile, position: int) -> int:
@@ -354,7 +356,6 @@ def _add_definition(
 
 
 def add_definitions(file: McapFile, records: bytes, structure: Structure) -> None:
-    """Add the schemas and channels among `records`."""
     for opcode, start, end in file.parts(records).definitions:
         _add_definition(file, opcode, records[start + RECORD.size : end], structure)
 

@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from recorder.mcap.mcap_file import CHUNK_HEADER, MESSAGE
-from recorder.mcap.picture_places import PLACES_AT_ONCE, Pictures, PlacesWritten
+from recorder.mcap.picture_places import PLACES_AT_ONCE, PlacesWritten
 
 CHUNK_BYTES: Final = 256 * 1024
 ROWS_CHUNK_BYTES: Final = 32 * 1024
@@ -81,10 +81,6 @@ class SplitChunks:
                 number_of, log_time_ns, data, publish_time_ns, sequence = self._waiting.popleft()
                 self.mcap.add_message(number_of(), log_time_ns, data, publish_time_ns, sequence)
             self.mcap.flush()  # type: ignore[no-untyped-call]
-
-    def pictures(self, channels: set[int]) -> Pictures:
-        """The last pictures, up to `PLACES_AT_ONCE`, on some channels in the chunks until now."""
-        return self._stream.places.pictures(channels)
 
     def finish(self) -> None:
         """Write the lists of pictures and chunks, and the summary. Nothing may be written afterwards."""

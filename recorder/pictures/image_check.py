@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
-import os
 from array import array
 from collections import deque
 from collections.abc import Callable, Collection
@@ -23,8 +21,6 @@ _PICTURES_A_JOB: Final = 32  # jobs of one picture would take a tenth longer
 _JOB_BYTES: Final = 1 << 20
 _MAX_WAITING_BYTES: Final = 1 << 24
 _OVERHEAD_BYTES: Final = 256  # of a waiting picture, in addition to its own bytes
-
-_DECODER_BYTES: Final = (224 + 64 * (os.cpu_count() or 1)) << 20  # address space of OpenCV and its threads
 
 _Place = tuple[str, int]  # topic, and position among its pictures
 
@@ -69,8 +65,6 @@ class ImageCheck:
     def __init__(self, pool: Executor | None, on_decoded: Callable[[int], object] = lambda count: None) -> None:
         """`pool` decodes the pictures; None: no picture is decoded. `on_decoded` gets the number of newly decoded
         pictures."""
-        if pool is not None:
-            _load_decoder()
         self._pool = pool
         self._on_decoded = on_decoded
         self._job: list[tuple[_Place, bytes]] = []
@@ -114,15 +108,6 @@ class ImageCheck:
         self.broken.extend(place for place, is_sound in zip(places, future.result(), strict=True) if not is_sound)
         self.decoded += len(places)
         self._on_decoded(len(places))
-
-
-def _load_decoder() -> None:
-    """Raises MemoryError if there is no room for OpenCV: it would end the process without a message."""
-    try:
-        mmap.mmap(-1, _DECODER_BYTES).close()
-    except OSError:
-        raise MemoryError from None
-    import cv2  # noqa: F401
 
 
 def _decode_all(pictures: list[bytes]) -> list[bool]:

@@ -38,41 +38,16 @@ _SCAN_OR_END: Final = frozenset({0xD9, 0xDA})
 
 def width_and_height(picture: bytes) -> tuple[int, int] | None:
     """Width and height of a JPEG or PNG; None for other bytes, or if it is cut off before them."""
-    size_at = _size_at(picture)
-    return None if size_at is None else size_at[0]
-
-
-def _size_at(picture: bytes) -> tuple[tuple[int, int], int] | None:
-    """Width and height of a picture, and the end of the bytes that hold them."""
     try:
         if picture.startswith(PNG_START):
             width, height = struct.unpack_from(">II", picture, 16)
-            return (width, height), 24
+            return width, height
         if picture.startswith(_JPEG_START):
-            at = _frame(picture) + 3
-            height, width = struct.unpack_from(">HH", picture, at)
-            return (width, height), at + 4
+            height, width = struct.unpack_from(">HH", picture, _frame(picture) + 3)
+            return width, height
     except (struct.error, IndexError, ValueError):
         pass
     return None
-
-
-class SizeReader:
-    """Reads the sizes of many pictures. A picture with the same beginning as the last one is not searched."""
-
-    def __init__(self) -> None:
-        self._header = b""
-        self._size = 0, 0
-
-    def width_and_height(self, picture: bytes) -> tuple[int, int] | None:
-        """As the function `width_and_height`, but quicker for pictures with the last one's header."""
-        if not self._header or not picture.startswith(self._header):
-            size_at = _size_at(picture)
-            if size_at is None:
-                return None
-            self._size, end = size_at
-            self._header = picture[:end]
-        return self._size
 
 
 def pixels(picture: bytes) -> int:
@@ -156,7 +131,6 @@ def _frame(jpeg: bytes) -> int:
 
 PADDING_BYTES: Final = 64  # of a PNG; behind a JPEG's end, cameras that hand out their buffer leave anything
 
-_START: Final = b"\xff\xd8"
 _END, _SOS = 0xD9, 0xDA
 _ALONE: Final = frozenset(range(0xD0, 0xD9))
 # lossless and hierarchical frames
@@ -177,7 +151,7 @@ def is_whole_jpeg(data: bytes) -> bool:
 
 def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
     """Width and height of a JPEG that is complete (`is_whole_jpeg`); None for other bytes."""
-    size = width_and_height(data) if data.startswith(_START) and not has_too_many_scans(data) else None
+    size = width_and_height(data) if data.startswith(_JPEG_START) and not has_too_many_scans(data) else None
     if size is None or not 0 < size[0] * size[1] <= MAX_PIXELS:
         return None
     try:
@@ -189,7 +163,7 @@ def whole_jpeg_size(data: bytes) -> tuple[int, int] | None:
 
 def _find_end(data: bytes) -> int:
     """The offset after the end marker. Raises ValueError or IndexError if the picture has no sound end."""
-    has_scan, position = False, len(_START)
+    has_scan, position = False, len(_JPEG_START)
     while True:
         if data[position] != 0xFF:
             raise ValueError("no marker")
@@ -254,7 +228,6 @@ def decode_picture(picture: bytes, flags: int) -> NDArray[np.uint8] | None:
 
 
 def decodes(picture: bytes) -> bool:
-    """True for a picture that `decode_picture` decodes."""
     return decode_picture(picture, _REDUCED_GRAYSCALE_8) is not None
 
 

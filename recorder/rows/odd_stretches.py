@@ -81,7 +81,6 @@ class OddStretch:
         return self.last_row - self.first_row + 1
 
     def command(self, log: Path) -> str:
-        """The command that excludes its rows."""
         return f"bc-log tag {shlex.quote(str(log))} exclude --rows {self.first_row} {self.last_row}"
 
     def __str__(self) -> str:
@@ -286,7 +285,6 @@ def _turned_rad(heading_rad: Values) -> float:
 
 
 def odd_lines(odd: Sequence[OddStretch]) -> list[str]:
-    """The odd stretches of a log in words."""
     lines = [str(stretch) for stretch in odd[:MAX_NAMED]]
     if len(odd) > MAX_NAMED:
         lines.append(f"and {counted(len(odd) - MAX_NAMED, 'more stretch', 'more stretches')}")

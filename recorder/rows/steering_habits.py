@@ -84,8 +84,6 @@ class SteeringLag:
 
 @dataclass(frozen=True)
 class LagFinding:
-    """The result of a measurement of the lag."""
-
     lag: SteeringLag | None  # None: the pictures do not show it
 
 
@@ -218,7 +216,6 @@ def steering_cells(habits: SteeringHabits, lag: SteeringLag | None) -> list[str]
 
 
 def steering_line(habits: SteeringHabits, lag: SteeringLag | None, unit: SteeringUnit = DEGREES) -> str:
-    """Habits and lag in one line."""
     spread, largest = (
         None if angle_deg is None else unit.of(angle_deg) for angle_deg in (habits.spread_deg, habits.largest_deg)
     )

@@ -95,8 +95,6 @@ class CenterPictures:
 
 
 class FarField:
-    """The far field of the centre camera's pictures."""
-
     def __init__(self, log: PictureLog, states: States) -> None:
         self.pictures = CenterPictures(log, states)
         self._last: tuple[int, Picture | None] = (-1, None)

@@ -33,20 +33,15 @@ LANDING_PAGE: Final = (
 )
 
 NOTICE_BROWSER: Final = "a browser has opened this port: start the simulator's autonomous mode instead"
-NOTICE_TLS: Final = "a client uses TLS, which this port does not support: begin the address with ws:// or http://"
 NOTICE_NOT_HTTP: Final = (
     "a client sent no whole HTTP request: if it is another program, give one of the two another port"
 )
-NOTICE_SILENT: Final = (
-    f"disconnected a client that sent nothing for {REQUEST_S:g} s: a simulator sends at once, start one"
-)
 NOTICE_SLOW: Final = (
-    f"disconnected a client whose request took longer than {REQUEST_S:g} s: a simulator's comes at once"
+    f"disconnected a client without a whole request in {REQUEST_S:g} s: a simulator sends at once, start one"
 )
 NOTICE_TOO_MANY: Final = f"{MAX_CONNECTIONS} connections at once: close some, further ones are not served"
 
 _METHODS: Final = tuple(f"{method} ".encode() for method in HTTPMethod)
-_TLS_HELLO: Final = b"\x16\x03"
 
 
 class OpenConnections:
@@ -75,7 +70,6 @@ class OpenConnections:
                 _shut_down(stream)
 
     def close_all(self) -> None:
-        """Cut all connections at once."""
         for stream in list(self._deadlines_s):
             _shut_down(stream)
 
@@ -105,13 +99,11 @@ def first_bytes_problem(connection: socket.socket) -> str | None:
     try:
         first = connection.recv(8, socket.MSG_PEEK)
     except TimeoutError:
-        return NOTICE_SILENT
+        return NOTICE_SLOW
     except (OSError, EOFError):  # the latter is eventlet's
         return ""
     if not first:
         return ""
-    if first.startswith(_TLS_HELLO):
-        return NOTICE_TLS
     if any(method.startswith(first) or first.startswith(method) for method in _METHODS):
         return None
     return NOTICE_NOT_HTTP

@@ -38,7 +38,6 @@ _HANDSHAKE: Final = ("Host", "Upgrade", "Connection", "Sec-WebSocket-Key", "Sec-
 
 
 def let_others_run() -> None:
-    """Let other connections and the tick run."""
     eventlet.sleep(0)
 
 
@@ -146,7 +145,6 @@ class EventletHost:
         )
 
     def wait(self, seconds: float) -> None:
-        """Serve connections for `seconds`."""
         eventlet.sleep(seconds)
         self._open_connections.close_overdue()
         if not self._connections.free():

@@ -40,7 +40,6 @@ class RunningClock:
         self._ticked_s = time.monotonic()
 
     def tick(self) -> float:
-        """Advance the clock, and return its time."""
         now_s = time.monotonic()
         self.seconds += min(now_s - self._ticked_s, MAX_TICK_S)
         self._ticked_s = now_s

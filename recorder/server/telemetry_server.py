@@ -453,5 +453,4 @@ def _event(command: Steer | None) -> tuple[str, dict[str, str]]:
 
 
 def _message(command: Steer | None) -> str:
-    """A command as a message of Engine.IO."""
     return "4" + str(packet.Packet(packet.EVENT, data=[*_event(command)]).encode())

@@ -69,7 +69,6 @@ class World:
 
     @property
     def expert(self) -> tuple[float, float] | None:
-        """The expert's steering and throttle."""
         if self.expert_steering is None or self.expert_throttle is None:
             return None
         return self.expert_steering, self.expert_throttle

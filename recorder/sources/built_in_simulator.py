@@ -22,8 +22,8 @@ from recorder.sources.imported_rows import Imported
 from recorder.sources.settings import SimulatedDrive
 from recorder.topics import VEHICLE_COLUMNS
 from simulator.driving.drive_limits import MAX_LAPS, MAX_SPEED_MPH, DriverName
+from simulator.driving.person import make_driver
 from simulator.driving.recovery_driving import MAX_RECOVERY, DriveStep, drive_for_recording, steps_each
-from simulator.driving.simulated_driver import make_driver
 from simulator.driving.simulation import Simulation
 from simulator.protocol.udacity_writer import UdacityWriter
 from simulator.rendering.camera import MOUNT_LEFT_M

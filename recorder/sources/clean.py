@@ -364,7 +364,6 @@ def _refuse_repeated(rows: Sequence[RecordedRow]) -> None:
 
 
 def names_of(row: RecordedRow) -> tuple[str, ...]:
-    """The names of its pictures' files."""
     return tuple(picture for picture in row.pictures.values() if isinstance(picture, str))
 
 

@@ -17,7 +17,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -54,8 +54,7 @@ class Tub:
     start_ns: int | None
     time_field: str  # milliseconds
     is_time_from_start: bool  # otherwise from 1970
-    count: int  # of lines or files that may be records
-    records: Callable[[Skipped], Iterator[TubRecord]]  # in the tub's order; invalid records are skipped
+    records: list[TubRecord]  # in the tub's order
 
 
 def is_tub(folder: Path) -> bool:
@@ -75,7 +74,7 @@ def read_tub(folder: Path, skipped: Skipped, car: Car | None = None) -> RawRecor
     tub = open_tub(folder, skipped)
     with readable(folder):
         pictures = PictureFolder([tub.images])
-    rows = [_row(tub, record) for record in tub.records(skipped)]
+    rows = [_row(tub, record) for record in tub.records]
     is_from_start = tub.is_time_from_start or all(row.time is None for row in rows)
     metadata = recording_metadata("donkeycar", folder, car) | {"tub_version": tub.version, "clock": "recorded"}
     if tub.start_ns is None and is_from_start:
@@ -136,16 +135,14 @@ def _open_version_1(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub
         skipped.add("lists of deleted records that cannot be read", EXCLUDED)
     matches = [match for match in map(_RECORD.fullmatch, files) if match]
     numbered = sorted((int(match[1]), match[0]) for match in matches)
-
-    def records(skipped: Skipped) -> Iterator[TubRecord]:
-        for index, name in numbered:
-            values = _load(files[name])
-            if isinstance(values, dict):
-                yield TubRecord(name, index, values)
-            else:
-                skipped.add("records that cannot be read as a JSON object", name)
-
-    return Tub("1", root, deleted or frozenset(), start_ns, "milliseconds", True, len(numbered), records)
+    records = []
+    for index, name in numbered:
+        values = _load(files[name])
+        if isinstance(values, dict):
+            records.append(TubRecord(name, index, values))
+        else:
+            skipped.add("records that cannot be read as a JSON object", name)
+    return Tub("1", root, deleted or frozenset(), start_ns, "milliseconds", True, records)
 
 
 def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub:
@@ -168,26 +165,22 @@ def _open_version_2(root: Path, files: dict[str, Path], skipped: Skipped) -> Tub
             if name not in listed:
                 skipped.add(f"catalogues that the manifest does not name (without {MANIFEST}, all are read)", name)
         catalogs = [name for name in listed if name in files]
-
-    def records(skipped: Skipped) -> Iterator[TubRecord]:
-        position = 0
-        for name in catalogs:
-            for line_number, line in _lines(files[name]):
-                values = _parse(line)
-                if isinstance(values, dict):
-                    number = values.get("_index")
-                    index = number if isinstance(number, int) and not isinstance(number, bool) else position
-                    yield TubRecord(f"{name} line {line_number}", index, values)
-                else:
-                    skipped.add("records that cannot be read as a JSON object", f"{name} line {line_number}")
-                position += 1
-
+    records, position = [], 0
+    for name in catalogs:
+        for line_number, line in _lines(files[name]):
+            values = _parse(line)
+            if isinstance(values, dict):
+                number = values.get("_index")
+                index = number if isinstance(number, int) and not isinstance(number, bool) else position
+                records.append(TubRecord(f"{name} line {line_number}", index, values))
+            else:
+                skipped.add("records that cannot be read as a JSON object", f"{name} line {line_number}")
+            position += 1
     images = root / IMAGES
     if images.is_symlink() and not images.is_dir():
         raise RecordingError(f"{images}: a link to {images.readlink()}, which is not there")
-    count = sum(1 for name in catalogs for _ in _lines(files[name]))
     start_ns = _start_ns(created, "created_at")
-    return Tub("2", images, deleted or frozenset(), start_ns, "_timestamp_ms", False, count, records)
+    return Tub("2", images, deleted or frozenset(), start_ns, "_timestamp_ms", False, records)
 
 
 def finite(value: object) -> int | float | None:

@@ -51,7 +51,6 @@ class PictureScale:
         return self._small % _TRIAL != 0
 
     def note(self, seconds: float) -> None:
-        """Note the rendering time of a picture of this size."""
         self._pictures += 1
         self._mean_s = seconds if self._mean_s is None else 0.9 * self._mean_s + 0.1 * seconds
         max_s = 1 / EYE_HZ

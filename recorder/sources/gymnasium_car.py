@@ -67,7 +67,6 @@ class ActionMap:
         return len(self._parts)
 
     def action(self, command: CarCommand) -> NDArray[np.float64]:
-        """The numbers of the action (N,)."""
         values = {
             "": 1.0,
             "steering": command.steering,
@@ -132,17 +131,13 @@ class GymnasiumMoment:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the picture."""
         return self.picture.shape[1], self.picture.shape[0]
 
     def jpeg(self) -> bytes:
         """The picture as it is recorded, and driven on."""
         is_grey = self.picture.ndim == 2 or self.picture.shape[2] == 1
         bgr = cv2.cvtColor(self.picture, cv2.COLOR_GRAY2BGR if is_grey else cv2.COLOR_RGB2BGR)
-        ok, encoded = cv2.imencode(".jpg", bgr, _JPEG)
-        if not ok:  # cannot happen with a picture that was checked; an error rather than a silent loss
-            raise RuntimeError("OpenCV could not write a JPEG")
-        return encoded.tobytes()
+        return cv2.imencode(".jpg", bgr, _JPEG)[1].tobytes()
 
 
 class GymnasiumCar(Closeable):
@@ -372,5 +367,4 @@ def _is_picture(space: Any) -> bool:
 
 
 def _named(space: Any) -> str:
-    """A space in a few words."""
     return brief(" ".join(str(space).split()), 100)

@@ -47,7 +47,6 @@ from recorder.teleop.wheel import Wheel
 from recorder.topics import PERSON_METADATA, Device
 
 MAX_ROW_S = 0.2  # between two rows of a driven simulator; longer times were not recorded
-MAX_SIMULATORS = 8  # at once, each with its own log
 RATE_S = 1.0  # the shown rows a second are measured over this time
 
 
@@ -245,9 +244,6 @@ class _Listener:
             self._warn_once(
                 "a second simulator is not driven or recorded, because a person has one wheel: close it"
             )
-            return None
-        if len(self._recorded) >= MAX_SIMULATORS:
-            self._warn_once(f"more than {MAX_SIMULATORS} simulators at once: the others are not recorded")
             return None
         free = [session for session in self.sessions if session not in self._recorded.values()]
         try:
@@ -453,7 +449,6 @@ class _Session:
             self._event(received_ns, text, "WARNING")
 
     def _event(self, happened_ns: int, text: str, level: EventLevel = "INFO") -> int:
-        """Write an event, and return its log time."""
         time_ns = self._clock.event(happened_ns)
         self.writer.event(time_ns, text, level, "recorder")
         return time_ns

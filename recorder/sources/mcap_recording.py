@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Final, Protocol, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from mcap.records import Channel, Message, Schema
@@ -57,21 +57,6 @@ _Stored: TypeAlias = tuple[Schema | None, Channel, Message]
 _Place: TypeAlias = tuple[int, Callable[[], _Stored]]
 
 
-class _File(Protocol):
-    """One file of a recording."""
-
-    path: Path
-
-    def types(self, skipped: Skipped) -> dict[str, str]:
-        """The type of the messages on each topic."""
-
-    def messages(self, topic: str, bar: str) -> Iterator[_Stored]:
-        """The messages on a topic, with a progress bar named `bar`."""
-
-    def places(self, topic: str, bar: str) -> Iterator[_Place]:
-        """The times of the messages on a topic, and functions that read them."""
-
-
 class _McapFile:
     def __init__(self, path: Path, opened: ExitStack) -> None:
         self.path = path
@@ -83,10 +68,6 @@ class _McapFile:
         if self.log.notice:
             skipped.add("files that are not whole", self.log.notice)
         return self.log.schemas
-
-    def messages(self, topic: str, bar: str) -> Iterator[_Stored]:
-        for chunk in track(self.log.chunks, bar, len(self.log.chunks)):
-            yield from (stored for stored in self.log.messages_of(chunk) if stored[1].topic == topic)
 
     def places(self, topic: str, bar: str) -> Iterator[_Place]:
         for chunk in track(self.log.chunks, bar, len(self.log.chunks)):
@@ -241,14 +222,13 @@ def _commands(
     problem = "there is no message on it"
     for file in files:
         decoders = _Decoders(file.path)
-        for stored in file.messages(topic, f"reading {brief(topic)}"):
-            time = stored[2].log_time
+        for time, read in file.places(topic, f"reading {brief(topic)}"):
             name = _name(topic, time)
             if not isinstance(time, int) or not 0 <= time < 2**63:
                 skipped.add("messages with a time that no log can hold", name)
                 continue
             try:
-                values.append(number_in(decoders.content(stored), field))
+                values.append(number_in(decoders.content(read()), field))
             except UnreadablePictureError as error:
                 skipped.add(str(error), name)
             except FieldError as error:
@@ -336,8 +316,6 @@ def _name(topic: str, time: object) -> str:
 
 
 class _Decoders:
-    """Decodes the messages of a file."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
         self._decoders: dict[int, Decoder] = {}

@@ -80,7 +80,6 @@ class PersonOfTelemetry(Cockpit):
         self.wheel.note_silence(self._clock.tick() - self._last_s, is_connected=is_connected)
 
     def takes_row(self) -> bool:
-        """True if the current telemetry is to be recorded."""
         return self._braking_since_s is None and self.recording.takes_row(self.control)
 
     def has_row(self, time_ns: int) -> None:

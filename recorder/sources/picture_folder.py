@@ -100,7 +100,6 @@ class PictureFolder:
         return "they are expected in " + ", ".join(f"{place}/" for place in self.places)
 
     def _pictures(self, place: Path, within: str = "") -> Iterator[tuple[str, str]]:
-        """The path in the place, and the path, of every picture."""
         try:
             with os.scandir(place / within) as entries:
                 listed = sorted(entries, key=lambda entry: entry.name)

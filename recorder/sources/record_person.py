@@ -253,7 +253,6 @@ class PersonRows:
             self._put(lambda: self._writer.event(time_ns, text, level, "recorder"))
 
     def check(self) -> None:
-        """Raise an error of earlier writing."""
         if self._failure is not None:
             raise self._failure
 

@@ -121,18 +121,8 @@ class SqliteFile:
         with self._open() as database:
             return {str(name): str(kind) for name, kind in database.execute("SELECT name, type FROM topics")}
 
-    def messages(self, topic: str, bar: str) -> Iterator[Stored]:
-        """The messages on `topic` by time, as from an MCAP file, with a progress bar named `bar`."""
-        with self._open() as database:
-            channels = self._channels(database, topic)
-            where = f"FROM messages WHERE topic_id IN ({', '.join('?' * len(channels))})"
-            ((count,),) = database.execute(f"SELECT COUNT(*) {where}", tuple(channels))
-            order = f"SELECT topic_id, timestamp, data {where} ORDER BY timestamp, id"
-            for number, time_ns, data in track(database.execute(order, tuple(channels)), bar, count):
-                yield *channels[number], Message(number, time_ns, data, time_ns, 0)
-
     def places(self, topic: str, bar: str) -> Iterator[tuple[int, Callable[[], Stored]]]:
-        """The times of the messages on `topic`, and functions that read them."""
+        """The times of the messages on `topic`, and functions that read them, with a progress bar named `bar`."""
         with self._open() as database:
             channels = self._channels(database, topic)
             where = f"WHERE topic_id IN ({', '.join('?' * len(channels))})"

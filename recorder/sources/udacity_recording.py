@@ -3,12 +3,10 @@ rows name."""
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from stat import S_ISREG
 from typing import Final
 
 from common.untrusted import open_regular
@@ -18,7 +16,6 @@ from recorder.sources.imported_rows import FROM_1970, RawRecording, recording_me
 from recorder.sources.picture_folder import PictureFolder
 from recorder.sources.udacity_csv import MAX_LINE_BYTES, UTF16_MARKS, RowReader
 
-_COMPARED_BYTES: Final = 1024
 _MAX_AT_ONCE: Final = 1 << 20
 
 
@@ -51,21 +48,16 @@ class LineSplitter:
 
 
 class CsvTail:
-    """The lines of a growing csv. Each call continues where the last one stopped.
-
-    A csv that was shortened or replaced is read again from its start, without the earlier lines. Equal lines in
-    one csv are all returned.
-    """
+    """The lines of a growing csv. Each call continues where the last one stopped. A csv that was shortened or
+    replaced is read again from its start."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self._path = path
         self.is_behind = False
         """True if the file has more to read: each call reads at most a megabyte."""
-        self._status: tuple[int, ...] = ()  # of the file, when it was last read
-        self._earlier_lines = set[int]()  # hashes: a day's drive has hundreds of thousands of lines
-        self._lines = set[int]()
-        self._end = b""  # the last bytes read, to recognise a replaced file
-        self._start_again()
+        self._file = 0, 0  # its device and number
+        self._offset = self._line_count = 0
+        self._splitter = LineSplitter()
 
     def new_lines(self) -> list[tuple[int, bytes]]:
         """The lines completed since the last call, with their numbers in the file, from 1.
@@ -74,9 +66,18 @@ class CsvTail:
         """
         self.is_behind = False
         try:
-            data = self._read_on()
+            with open_regular(self._path) as stream:
+                stat = os.fstat(stream.fileno())
+                if self._file != (stat.st_dev, stat.st_ino) or stat.st_size < self._offset:
+                    self._file = stat.st_dev, stat.st_ino
+                    self._offset = self._line_count = 0
+                    self._splitter = LineSplitter()
+                stream.seek(self._offset)
+                data = stream.read(_MAX_AT_ONCE)
         except FileNotFoundError:
             return []
+        self.is_behind = len(data) == _MAX_AT_ONCE
+        self._offset += len(data)
         return self._numbered(self._splitter.feed(data))
 
     def rest(self) -> list[tuple[int, bytes]]:
@@ -87,37 +88,7 @@ class CsvTail:
     def _numbered(self, lines: list[bytes]) -> list[tuple[int, bytes]]:
         first = self._line_count + 1
         self._line_count += len(lines)
-        self._lines.update(map(hash, lines))
-        numbered = enumerate(lines, first)
-        return [(number, content) for number, content in numbered if hash(content) not in self._earlier_lines]
-
-    def _read_on(self) -> bytes:
-        """The appended bytes; b"" if the file has not changed."""
-        stat = self.path.stat()
-        status = (stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns)
-        if status == self._status:
-            return b""
-        if not S_ISREG(stat.st_mode):  # opening and closing a pipe would kill its writer
-            raise OSError(errno.EINVAL, "not a regular file", str(self.path))
-        with open_regular(self.path) as stream:
-            is_same = status[:2] == self._status[:2] and stat.st_size >= self._offset
-            stream.seek(max(self._offset - len(self._end), 0))
-            if not is_same or stream.read(len(self._end)) != self._end:
-                self._start_again()
-                stream.seek(0)
-            data = stream.read(_MAX_AT_ONCE)
-        self.is_behind = len(data) == _MAX_AT_ONCE
-        self._offset += len(data)
-        self._status = status if self._offset >= stat.st_size else (*status[:2], -1, -1)
-        self._end = (self._end + data)[-_COMPARED_BYTES:]
-        return data
-
-    def _start_again(self) -> None:
-        self._offset = self._line_count = 0
-        self._end = b""
-        self._splitter = LineSplitter()
-        self._earlier_lines |= self._lines
-        self._lines = set()
+        return list(enumerate(lines, first))
 
 
 CSV_NAME: Final = "driving_log.csv"

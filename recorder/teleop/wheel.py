@@ -74,11 +74,6 @@ def open_wheels(project: Path) -> list[OpenWheel]:
     return sorted(wheels, key=lambda wheel: wheel.key, reverse=True)
 
 
-def new_key() -> str:
-    """A unique name for a wheel; names sort by time."""
-    return f"{time.time_ns() // 1_000_000:013d}-{secrets.token_hex(4)}"
-
-
 @contextlib.contextmanager
 def announced(wheel: OpenWheel) -> Iterator[None]:
     """List a wheel until the context ends or the process dies. Without a cache folder, it is not listed."""
@@ -107,7 +102,6 @@ def _files() -> list[Path]:
 
 MAX_PAGES: Final = 8
 MAX_PER_S: Final = 500  # a page that sends more messages a second is disconnected; a correct one sends 60
-MAX_REFUSED: Final = 100  # a page that sends more invalid messages is disconnected
 MAX_IN_FLIGHT: Final = 2
 """Frames sent to a page and not shown yet: the page paints one while the next one travels."""
 _MAX_TEXTS: Final = 256  # waiting for a page; the oldest are dropped
@@ -137,7 +131,6 @@ class _Page:
         self.in_flight: deque[int] = deque()
         self.wants_recorded = False
         self.is_over = False
-        self.refused = 0
         self.second, self.in_second = 0, 0  # for the rate limit
 
 
@@ -147,9 +140,8 @@ class Wheel:
     def __init__(self, title: str, log: Path, about: Mapping[str, object]) -> None:
         """`about` is the message "hello" to each page that connects."""
         self._title, self._log = title, log
-        self.key = new_key()
+        self.key = f"{time.time_ns() // 1_000_000:013d}-{secrets.token_hex(4)}"  # names sort by time
         self.control_came = threading.Event()  # set until the loop gets the newest control
-        self.refused = 0  # messages that were invalid or too many
         self._hello = json.dumps({"type": "hello", "title": title, "log": str(log), **about}, allow_nan=False)
         self._token = secrets.token_urlsafe(24)
         self._changed = threading.Condition()
@@ -296,13 +288,10 @@ class Wheel:
             page.second, page.in_second = int(now_s), 0
         page.in_second += 1
         if page.in_second > MAX_PER_S:
-            self.refused += 1
             return False
         match parse_message(text):
             case None:
-                self.refused += 1
-                page.refused += 1
-                return page.refused <= MAX_REFUSED
+                pass
             case ControlMessage() as message:
                 if self._seat.steer(page, message, now_s):
                     self.control_came.set()

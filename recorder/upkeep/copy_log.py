@@ -1,17 +1,15 @@
 """Copies logs between this machine and a store, whole or not at all. Fingerprints are compared, and nothing is
 replaced unasked.
 
-To a store: the log is sent in parts, which become an object after the last one, if the name is still free. A
-stopped upload begins again. From a store: NAME.mcap.XXXXXX.part grows on the disk. Its name depends on the
-object's ETag, so that a stopped copy continues. All its CRCs are checked before it gets its name.
+To a store: the log is sent in parts, which become an object after the last one. A stopped upload begins again.
+From a store: NAME.mcap.XXXXXX.part grows on the disk. Its name depends on the object's ETag, so that a stopped
+copy continues. All its CRCs are checked before it gets its name.
 """
 
 from __future__ import annotations
 
 import hashlib
-import shlex
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,19 +49,17 @@ def copy_log(
     to: Location,
     *,
     overwrite: bool = False,
-    keeps_damaged: bool = False,
     on_bytes: OnBytes = lambda more: None,
 ) -> Copied:
     """Copy a finished log, its tags and its lag between this machine and a store, unless it is there already.
 
-    Raises LogError for a log that is unfinished or damaged; with `keeps_damaged`, a download is kept for a
-    recovery. Raises UserError if the name is taken (unless `overwrite`), or both places are of one kind;
-    StoreError.
+    Raises LogError for a log that is unfinished or damaged; a download is kept for a recovery. Raises UserError if
+    the name is taken (unless `overwrite`), or both places are of one kind; StoreError.
     """
     if isinstance(log, Path) and isinstance(to, Url):
         copied = _upload(log, to, overwrite, on_bytes)
     elif isinstance(log, Url) and isinstance(to, Path):
-        copied = _download(log, to, overwrite, keeps_damaged, on_bytes)
+        copied = _download(log, to, overwrite, on_bytes)
     elif isinstance(log, Url):
         raise UserError(f"{log} and {to}: both in a store; copy it to this machine first")
     else:
@@ -83,13 +79,13 @@ def _upload(log: Path, url: Url, overwrite: bool, on_bytes: OnBytes) -> Copied:
             raise ObjectExistsError(f"{url} exists already: choose another name, or give --force to replace it")
     if not is_whole(log):
         raise LogError(f"{log}: unfinished or damaged; run {recovery(log)} first")
-    _put(log, url, size, fingerprint, overwrite, on_bytes)
+    _put(log, url, size, fingerprint, on_bytes)
     return Copied(url, size, True, _upload_tags(log, url, overwrite))
 
 
-def _put(log: Path, url: Url, size: int, fingerprint: str, overwrite: bool, on_bytes: OnBytes) -> None:
+def _put(log: Path, url: Url, size: int, fingerprint: str, on_bytes: OnBytes) -> None:
     try:
-        put_parts(url, _parts(log, on_bytes, None if overwrite else url), size)
+        put_parts(url, _parts(log, on_bytes), size)
     except StoreError:  # the object is complete if only the answer was lost, or if another machine has sent it
         if not _is_there(url, size, fingerprint):
             raise
@@ -104,21 +100,14 @@ def _is_there(url: Url, size: int, fingerprint: str) -> bool:
     return stored is not None and stored.size == size and _fingerprint(url) == fingerprint
 
 
-def _parts(log: Path, on_bytes: OnBytes, free: Url | None) -> Iterator[bytes]:
-    """The bytes of a file. `free`: an object that must not exist after the last part."""
+def _parts(log: Path, on_bytes: OnBytes) -> Iterator[bytes]:
     with log.open("rb") as stream:
         while data := stream.read(MAX_READ_AHEAD):
             yield data
             on_bytes(len(data))
-    if free is None:
-        return
-    with ThreadPoolExecutor(1) as other_thread:  # obstore uses this thread for the parts
-        is_taken = other_thread.submit(find_object, free).result() is not None
-    if is_taken:
-        raise ObjectExistsError(f"{free} was written by another process at the same time; nothing was changed")
 
 
-def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_bytes: OnBytes) -> Copied:
+def _download(url: Url, path: Path, overwrite: bool, on_bytes: OnBytes) -> Copied:
     with Log(url) as opened:
         fingerprint = opened.file_fingerprint
     with ObjectFile(url) as source:
@@ -143,11 +132,7 @@ def _download(url: Url, path: Path, overwrite: bool, keeps_damaged: bool, on_byt
             part.unlink()
             raise
         if not is_whole(part) or _fingerprint(part) != fingerprint:
-            if keeps_damaged:
-                raise LogError(f"{url}: unfinished or damaged; {recovery(part)} makes a log of what came")
-            part.unlink()
-            copy = f"`bc-log copy {shlex.quote(str(url))} FOLDER`"
-            raise LogError(f"{url}: unfinished or damaged; {copy} brings what there is")
+            raise LogError(f"{url}: unfinished or damaged; {recovery(part)} makes a log of what came")
         with uninterrupted():
             publish(part, path, overwrite)
     return Copied(path, source.size, True, _download_tags(url, path, overwrite))

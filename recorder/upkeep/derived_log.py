@@ -9,15 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from common import Skipped, UserError
+from common import Skipped
 from common.files import refuse_existing
-from common.interrupts import uninterrupted
 from common.versions import version_of
 from recorder import topics
 from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.tags import Tag
-from recorder.log.writer import LogWriter, write_tags
+from recorder.log.writer import LogWriter
 from recorder.mcap.picture_places import is_about_places
 
 LAST_ROW: Final = 2**32 - 1  # MCAP's sequence numbers have 32 bits
@@ -74,23 +73,3 @@ def tags_of_rows(tags: Sequence[Tag], rows: Sequence[int]) -> list[Tag]:
         if len(rows_within):
             clipped.append(Tag(int(rows_within.min()), int(rows_within.max()), tag.name))
     return clipped
-
-
-def publish_all(path: Path, writers: Sequence[LogWriter], tags: Sequence[Sequence[Tag]], overwrite: bool) -> None:
-    """Give the finished logs their names and tags: all or none; with `overwrite`, those before a failure stay."""
-    published: list[Path] = []
-    with uninterrupted():
-        try:
-            for writer in writers:
-                writer.publish()
-                published.append(writer.path)
-        except UserError:
-            while published and not overwrite:
-                published.pop().unlink(missing_ok=True)
-            kept = ", ".join(map(str, published)) or "nothing"
-            raise LogError(
-                f"{path}: not split: {writer.path} exists now, or cannot be written; {kept} was kept"
-            ) from None
-        finally:
-            for target, target_tags in zip(published, tags, strict=False):  # a log that has its name has its tags
-                write_tags(target, target_tags)

@@ -11,7 +11,6 @@ import contextlib
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -20,13 +19,14 @@ from numpy.typing import NDArray
 
 from common import Skipped
 from common.files import final_path, refuse_existing
+from common.interrupts import uninterrupted
 from common.progress import track
 from recorder import topics
 from recorder.errors import LogError, recovery
 from recorder.log.reader import Log
 from recorder.log.session_car import max_steering_deg_of
 from recorder.log.tags import Tag, tags_of
-from recorder.log.writer import LogWriter, close_with_tags
+from recorder.log.writer import LogWriter, close_with_tags, write_tags
 from recorder.mcap.compressed_image import is_image_channel
 from recorder.rows.row_quality import drive_numbers
 from recorder.upkeep.derived_log import (
@@ -34,12 +34,9 @@ from recorder.upkeep.derived_log import (
     Written,
     copy_rest,
     new_log,
-    publish_all,
     refuse_taken,
     tags_of_rows,
 )
-
-_MAX_DRIVES: Final = 500  # a log of each is open at once
 
 Copied = tuple[Schema | None, Channel, McapMessage]
 
@@ -136,15 +133,13 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
 
     A new drive begins after a gap of more than a second, or where time goes back. A picture without a row goes to
     the drive of the picture before it in the file, another message without a row to that of the vehicle state
-    before it. All logs are written or none. Raises LogError if there is only one drive.
+    before it. Raises LogError if there is only one drive.
     """
     with Log(path) as log, contextlib.ExitStack() as stack:
         number, time_ns = _rows(log)
         drives = drive_numbers(time_ns)
         if not len(drives) or drives[-1] == 0:
             raise LogError(f"{path}: has a single drive: nothing to split")
-        if drives[-1] >= _MAX_DRIVES:
-            raise LogError(f"{path}: {drives[-1] + 1:,} drives are too many files; trim the parts that you want")
         name = final_path(path).name.removesuffix(".mcap")
         targets = [folder / f"{name}-{drive + 1}.mcap" for drive in range(int(drives[-1]) + 1)]
         for target in targets:
@@ -170,7 +165,10 @@ def split(path: Path, folder: Path, *, overwrite: bool = False) -> list[Written]
             copy_rest(log, log.all_metadata, writer, left_out)
             writer.finish()
         rows = [number[drives == drive].tolist() for drive in range(len(targets))]
-        publish_all(path, writers, [tags_of_rows(tags, drive_rows) for drive_rows in rows], overwrite)
+        with uninterrupted():
+            for writer, drive_rows in zip(writers, rows, strict=True):
+                writer.publish()
+                write_tags(writer.path, tags_of_rows(tags, drive_rows))
     return [Written(*parts) for parts in zip(targets, counts, map(len, rows), skipped, strict=True)]
 
 

@@ -105,7 +105,7 @@ def describe(
         lag = found.lag if found else None
         goes_by = found is not None and goes_by_lag(found.steering, driven_by(log))
         if lag is None and goes_by:
-            lag = (kept_lag(log) if with_kept_lag else None) or (find_lag(log)[0] if look else None)
+            lag = (kept_lag(log) if with_kept_lag else None) or (find_lag(log) if look else None)
         return LogInfo(
             path=str(log.path),
             size_bytes=log.size,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import contextlib
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -20,15 +20,12 @@ from recorder.errors import LogError
 from recorder.log.reader import Log
 from recorder.log.tags import Tag, bad_rows, read_tags
 from recorder.log.writer import close_with_tags
-from recorder.mcap.mcap_file import Chunk
 from recorder.rows.odd_stretches import rows_named
 from recorder.upkeep.check_contents import MISFIT
-from recorder.upkeep.check_structure import is_damaged_beside_chunks
 from recorder.upkeep.derived_log import Written, copy_rest, new_log, refuse_taken, tags_of_rows
 
 _MISSING: Final = "stretches of rows that are missing"
 _NO_ROW: Final = 2**32  # numbers have 32 bits
-_Rows = dict[str, list[int]]  # by topic, in the order of their messages
 
 
 def recovered_name(path: Path) -> Path:
@@ -49,13 +46,13 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
 
     Raises LogError if nothing is whole, or if the running recording needs the name `to`.
     """
-    skipped, out_of_order = Skipped(), Skipped()
+    skipped = Skipped()
     refuse_taken(to, [path], overwrite)  # before a long log is read
     goes_on = is_being_written(path)
     if goes_on and real_path(to) == final_path(real_path(path)):
         raise LogError(f"{to}: the running recording will get this name; give another one with --to")
     with Log(path, salvages=True) as log:
-        lost = lost_rows(log, skipped, out_of_order)
+        lost = lost_rows(log, skipped)
         records = _sound_metadata(log, skipped)
         session = dict(records).get(topics.SESSION_METADATA, {})
         tags = _sound_tags(log, skipped)
@@ -89,17 +86,12 @@ def recover(path: Path, to: Path, *, overwrite: bool = False) -> Written:
             skipped.add("stretches of unreadable bytes", f"{start:,} to {end:,}")
         else:
             skipped.add("damaged chunks", f"bytes {start:,} to {end:,}")
-    notices = [f"{path}: {line}" for line in out_of_order.lines()]
+    notices = []
     lost_count = log.message_count - count - left_out
     if lost_count > 0:
         notices.append(f"{path}: lost in all: {lost_count:,} of {counted(log.message_count, 'message')}")
     if log.is_ours and not rows and (log.problem or len(skipped)):
         notices.append(f"{path}: no complete row in it: the new log has no rows")
-    if not len(skipped) and is_damaged_beside_chunks(path):
-        notices.append(
-            f"{path}: metadata or descriptions of topics may be wrong: every chunk is sound, but not the"
-            " CRC of all data"
-        )
     if goes_on:
         notices.append(f"{path}: it is still being recorded; {to.name} lacks its end")
     return Written(to, count, len(rows), skipped, notices)
@@ -137,16 +129,14 @@ class LostRows:
         return "messages of a row whose other parts are lost" if row in self.torn else ""
 
 
-def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
-    """The rows that lack a part. Adds missing rows to `skipped`, and chunks whose rows come late or twice to
-    `out_of_order`. Another program's log has no rows."""
-    chunks = [(chunk, _rows_in(log, chunk)) for chunk in log.chunks] if log.is_ours else []
-    for reason, name in _late(chunks):
-        out_of_order.add(reason, name)
+def lost_rows(log: Log, skipped: Skipped) -> LostRows:
+    """The rows that lack a part. Adds missing rows to `skipped`. Another program's log has no rows."""
     by_topic: dict[str, set[int]] = {}
-    for _, rows in chunks:
-        for topic, numbers in rows.items():
-            by_topic.setdefault(topic, set()).update(numbers)
+    for chunk in log.chunks if log.is_ours else ():
+        with contextlib.suppress(LogError):
+            for _, channel, message in log.messages_of(chunk, Skipped()):
+                if channel.topic in topics.ROW_TOPICS:
+                    by_topic.setdefault(channel.topic, set()).add(message.sequence)
     driven, all_rows = by_topic.get(topics.VEHICLE, set()), set().union(*by_topic.values())
     if not driven:
         if not log.problem and log.counts.get(topics.VEHICLE):  # all vehicle states are lost
@@ -163,27 +153,3 @@ def lost_rows(log: Log, skipped: Skipped, out_of_order: Skipped) -> LostRows:
         for first, last in consecutive(sorted(driven - by_topic[topic])):
             skipped.add("stretches of rows without a picture", f"{topic} {rows_named(first, last)}")
     return LostRows(last_row, frozenset(all_rows - driven))
-
-
-def _rows_in(log: Log, chunk: Chunk) -> _Rows:
-    rows: _Rows = {}
-    try:
-        for _, channel, message in log.messages_of(chunk, Skipped()):
-            if channel.topic in topics.ROW_TOPICS:
-                rows.setdefault(channel.topic, []).append(message.sequence)
-    except LogError:
-        return {}
-    return rows
-
-
-def _late(chunks: Sequence[tuple[Chunk, _Rows]]) -> Iterator[tuple[str, str]]:
-    """The chunks whose rows should come earlier in the file, or came before."""
-    highest = dict.fromkeys((topics.VEHICLE, *topics.CAMERA_TOPICS), -1)
-    for chunk, rows in chunks:
-        for topic in highest.keys() & rows.keys():
-            if min(rows[topic]) <= highest[topic]:
-                where = f"{rows_named(min(rows[topic]), max(rows[topic]))} at byte {chunk.start:,}"
-                yield "chunks out of order or doubled, which are kept in place", where
-                break
-        for topic in highest.keys() & rows.keys():
-            highest[topic] = max(highest[topic], *rows[topic])

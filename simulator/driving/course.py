@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final
 
 from common.car import MPS_PER_MPH
 from simulator.driving.vehicle import AXLE_TO_CENTRE_M, STEP_S, WHEELBASE_M, CarState, step
 from simulator.pose import Pose
 from simulator.roads.centreline import Centreline
+from simulator.roads.track import Track
 
 INTERVENTION_COST_S: Final = 6.0
 """Time in which a person takes over, steers back and restarts the system: Bojarski et al. 2016 (arXiv 1604.07316),
@@ -25,29 +23,15 @@ def autonomy_percent(interventions: int, driven_s: float) -> float:
     return 100.0 * max(0.0, 1.0 - INTERVENTION_COST_S * interventions / driven_s)
 
 
-Height = Callable[[float, float], float]
-"""The ground's height in metres at (x_m, y_m)."""
+Height = Callable[[float, float], float]  # the ground's height in metres at (x_m, y_m)
 
 WHEEL_TRACK_M = 1.6  # between the left and the right wheels
 STUCK_S = 5.0  # without a metre of progress for this long, the car is stuck
 _STUCK_PROGRESS_M = 1.0
 
 
-class Road(Protocol):
-    """The parts of a track that a course needs."""
-
-    @property
-    def line(self) -> Centreline: ...
-    @property
-    def half_width_m(self) -> NDArray[np.float64]:
-        """Half the width of the road at each point of the centre line, (N,)."""
-        ...
-
-
 @dataclass(frozen=True)
 class CourseMeasures:
-    """The measures of a drive, from its start to now."""
-
     elapsed_s: float
     distance_m: float  # driven, forwards and in reverse
     laps: float
@@ -74,13 +58,9 @@ class Course:
     interventions: int
     progress_m: float  # along the road since the start (negative behind the start)
 
-    def __init__(self, road: Road, height_m: Height | None = None) -> None:
+    def __init__(self, road: Track, height_m: Height | None = None) -> None:
         self.line = road.line
-        self._half_width_m: list[float] = np.asarray(road.half_width_m, dtype=np.float64).tolist()
-        if len(self._half_width_m) != len(self.line.points_m):
-            raise ValueError(
-                f"{len(self._half_width_m)} half widths for a centre line of {len(self.line.points_m)} points"
-            )
+        self._half_width_m: list[float] = road.half_width_m.tolist()
         self._height_m = height_m
         self.start()
 
@@ -131,7 +111,6 @@ class Course:
 
     @property
     def half_width_m(self) -> float:
-        """Half the width of the road at the car's place."""
         point: int = round(self.arc_m / self.line.step_m)
         return self._half_width_m[point % len(self._half_width_m)]
 

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from simulator.driving.course import Course
+from simulator.driving.drive_limits import DriverName
 from simulator.driving.expert import Expert
 from simulator.roads.centreline import Centreline
 
@@ -63,26 +64,19 @@ class Person(ABC):
     every step of the simulator.
     """
 
-    look_ahead_s: float
-    """As for the expert, but larger, because people react late."""
-    dead_band: float
-    """The median wanted steering, as a share of full lock, from which the hands act."""
+    look_ahead_s: float  # as for the expert, but larger, because people react late
+    dead_band: float  # the median wanted steering, as a share of full lock, from which the hands act
 
     def __init__(self, line: Centreline, set_speed_mph: float, noise: float = 0.0, seed: int = 0) -> None:
-        self._wish = Expert(line, set_speed_mph, noise, seed, self.look_ahead_s)
+        self.wish = Expert(line, set_speed_mph, noise, seed, self.look_ahead_s)
         self._random = np.random.default_rng([seed, 1])  # independent of the expert's, whose seed is `seed`
         self._time_s = -math.inf
         self._next_look_s = -math.inf
-        self.act: Act | None = None
-        """The current or the last act of the hands; None before the first act."""
-
-    def wish(self, course: Course) -> tuple[float, float]:
-        """The wanted command for the course's current state, without the limits of the hands."""
-        return self._wish.control(course)
+        self.act: Act | None = None  # the current or the last act of the hands; None before the first act
 
     def control(self, course: Course) -> tuple[float, float]:
         """The command for the course's current state: steering -1 (left) .. 1 (right), throttle -1 .. 1."""
-        wanted, throttle = self._wish.control(course)
+        wanted, throttle = self.wish.control(course)
         now_s = course.time_s
         if not 0.0 <= now_s - self._time_s <= _NEW_DRIVE_S:
             self.act = None  # the hands start at rest
@@ -213,3 +207,17 @@ class MouseDriver(Person):
     def _begin(self, down_s: float, wanted: float) -> Drag:
         target = self._about(_GAIN * wanted, _GAIN_SPREAD)
         return Drag(target, down_s, down_s + self._about(_HELD_S, _HELD_SPREAD))
+
+
+_DRIVERS: Final[dict[DriverName, type[Expert | KeyboardDriver | MouseDriver]]] = {
+    "expert": Expert,
+    "keyboard": KeyboardDriver,
+    "mouse": MouseDriver,
+}
+
+
+def make_driver(
+    name: DriverName, line: Centreline, set_speed_mph: float, noise: float, seed: int
+) -> Expert | KeyboardDriver | MouseDriver:
+    """A driver of the road ``line``. Raises ValueError for a speed of 0 or less, or a negative noise."""
+    return _DRIVERS[name](line, set_speed_mph, noise, seed)

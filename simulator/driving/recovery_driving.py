@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from simulator.driving.course import Course
-from simulator.driving.simulated_driver import SimulatedDriver
 from simulator.driving.vehicle import STEP_S
 from simulator.pose import Pose
 
@@ -34,6 +34,15 @@ _BACK_OFFSET = 0.2
 _BACK_TURN_RAD = math.radians(8.0)
 _MAX_RECOVERY_S = 6.0
 _USUAL_RECOVERY_S = 2.0
+
+
+class SimulatedDriver(Protocol):
+    """A driver of a course."""
+
+    def control(self, course: Course) -> tuple[float, float]:
+        """The command for the course's present state: steering -1 (left) .. 1 (right), throttle -1 .. 1. Called at
+        every step of the simulator."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,6 @@ class UdacityWriter:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Raise an OSError as a UserError of one line."""
         try:
             yield
         except OSError as error:

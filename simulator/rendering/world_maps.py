@@ -21,10 +21,7 @@ from simulator.rendering.textures import paint_ground, paint_road
 from simulator.roads.centreline import Floats
 from simulator.roads.track import Track
 
-_SKY_WIDTH_PX, _SKY_HEIGHT_PX = (
-    2048,
-    256,
-)  # 360 degrees; from SKY_TOP to SKY_BOTTOM, which are tangents of the elevation
+_SKY_WIDTH_PX, _SKY_HEIGHT_PX = 2048, 256  # 360 degrees; the tangent of the elevation from SKY_TOP to SKY_BOTTOM
 SKY_TOP, SKY_BOTTOM = 0.9, -0.1
 HAZE = (200, 184, 166)  # BGR at the horizon
 BLUE = (178, 122, 84)  # BGR overhead

@@ -61,7 +61,6 @@ def load_track(name: str) -> Track:
 
 
 def is_drawn(name: str) -> bool:
-    """True for ``random:SEED`` and ``hairpins:SEED``."""
     return re.fullmatch(r"(random|hairpins):[0-9]{1,18}", name) is not None
 
 

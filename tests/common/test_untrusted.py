@@ -21,8 +21,6 @@ from mcap_protobuf.schema import register_schema
 from rosbags.rosbag2 import StoragePlugin
 
 from common.untrusted import open_regular, read_bounded
-from dataset.frames.image_check_cache import read_image_check
-from dataset.index.build_state import BuildState, read_state
 from recorder import Log, LogError, RecordingError, import_udacity
 from recorder.bc_pb2 import VehicleState
 from recorder.pictures.picture_size import decodes
@@ -64,17 +62,13 @@ def with_hole(path: Path) -> Path:
 # Pipes
 
 
-def make_pipe(path: Path) -> Path:
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
     """A pipe that nobody writes to: whoever opens it as a file waits for ever."""
     if not hasattr(os, "mkfifo"):
         pytest.skip("pipes were not tried: this system has none among its files")
-    os.mkfifo(path)
-    return path
-
-
-@pytest.fixture
-def pipe(tmp_path: Path) -> Path:
-    return make_pipe(tmp_path / "pipe.mcap")
+    os.mkfifo(tmp_path / "pipe.mcap")
+    return tmp_path / "pipe.mcap"
 
 
 def test_a_pipe_is_no_log(pipe: Path) -> None:
@@ -87,25 +81,6 @@ def test_only_files_are_opened(pipe: Path, read: Callable[[Path], object]) -> No
     for path in (pipe, pipe.parent, Path(os.devnull), Path("a\0b"), pipe.with_name("nothing")):
         with pytest.raises(OSError, match=r"\w"):
             read(path)
-
-
-@pytest.mark.parametrize("make", [with_hole, make_pipe])
-@pytest.mark.parametrize(
-    ("name", "read", "empty"),
-    [
-        ("state.json", read_state, BuildState.nothing()),
-        ("looks/a.json", lambda folder: read_image_check(folder, "a", ""), None),
-    ],
-)
-def test_a_folders_records_are_not_read_without_bounds(
-    name: str, read: Callable[[Path], object], empty: object, make: Callable[[Path], object], tmp_path: Path
-) -> None:
-    path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
-    if make is with_hole:
-        path.touch()
-    make(path)
-    assert read(tmp_path) == empty
 
 
 def test_pipes_among_a_recordings_pictures_are_missing(tmp_path: Path, pipe: Path) -> None:

@@ -228,13 +228,3 @@ def test_whatever_is_driven_the_samples_keep_their_promises(
             str(config.per_bin), config.per_bin
         )
         assert after == {at: min(target, count * config.max_uses) for at, count in candidates.items()}
-
-
-@pytest.mark.parametrize("steering", [[0.0] * 50, [0.3], [-1.0, 1.0]], ids=["one bin only", "one frame", "two"])
-def test_drives_with_hardly_anything_in_them_can_be_indexed(tmp_path: Path, steering: list[float]) -> None:
-    frames, samples = write_index(tmp_path, [steering], IndexConfig())
-    assert len(frames) == 3 * len(steering)
-    assert {(sample["row"], sample["camera"], sample["flip"]) for sample in samples} <= {
-        (row, camera, flip) for row in range(len(steering)) for camera in CAMERAS for flip in (False, True)
-    }
-    assert samples

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.car import CAMERAS, Camera
-from dataset.frames.frame_flags import FRAME_FLAGS, ImageFindings, Paired, frame_flags, is_unusable
+from dataset.frames.frame_flags import ImageFindings, Paired, frame_flags, is_unusable
+from recorder.rows.causes import PICTURE_FLAGS, ROW_FLAGS
 from recorder.rows.row_quality import States
 
 STEP_NS = 100_000_000
@@ -99,7 +100,7 @@ def test_lists_hold_each_flag_of_their_frame_once_and_in_one_order(odd: list[lis
     standing, wrong, broken = np.array(odd, np.bool_).reshape(rows, 3).T
     reported = states(rows, speed_mph=np.where(standing, 0.0, 5.0), throttle=np.where(wrong, 7.0, 0.5))
     looked = ImageFindings(rows, {"center": tuple((int(at), int(at)) for at in np.flatnonzero(broken))}, {})
-    in_order: list[str] = list(FRAME_FLAGS)
+    in_order: list[str] = [*ROW_FLAGS, *PICTURE_FLAGS]
     names = ("standing_still", "out_of_range", "broken_picture")
     assert frame_flags(reported, {"center": every(rows)}, looked).to_pylist() == [
         sorted((name for name, holds in zip(names, row, strict=True) if holds), key=in_order.index) for row in odd

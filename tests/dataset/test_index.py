@@ -94,15 +94,6 @@ def test_every_filled_bin_holds_what_was_asked_for_or_the_cap_allows(
 # Samples
 
 
-def test_a_bin_that_the_cap_leaves_short_is_reported(tmp_path: Path) -> None:
-    config = IndexConfig(max_uses=3, cameras=("center",), flip=False, validation_share=0.0)
-    indexed = index_of(tmp_path, config, a=[0.0] * 98 + [0.5] * 2)
-    assert indexed.balance.per_bin == 50
-    assert indexed.balance.short == {18: 50 - 3 * 2}  # (0.5 + 1) / 0.08 = 18.75
-    uses = Counter(row["row"] for row in indexed.samples.to_pylist() if row["bin"] == 18)
-    assert uses == {98: 3, 99: 3}
-
-
 def test_only_copies_are_altered_each_alteration_in_half_of_them(tmp_path: Path) -> None:
     samples = index_of(tmp_path, IndexConfig(validation_share=0.0), a=STEERING).samples.to_pylist()
     copies = [row for row in samples if row["copy"]]
@@ -250,13 +241,6 @@ def test_a_session_that_is_gone_vanishes_and_strangers_files_stay(tmp_path: Path
 
 
 # Errors and the command
-
-
-def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
-    """Each name has a split of its own: a picture could be on both sides."""
-    logs = [write_log(tmp_path / f"{name}.mcap", STEERING) for name in "ab"]
-    with pytest.raises(DatasetError, match=r"a\.mcap and .*b\.mcap: the same picture in both"):
-        build_index(logs, tmp_path / "index", BLOCKS)
 
 
 def standing_start(path: Path, rows: int, standing: int) -> Path:

@@ -20,7 +20,6 @@ import pytest
 from common.car import Camera
 from dataset import IndexConfig, build_index
 from dataset.frames import frames_file
-from dataset.frames.frame_flags import FRAME_FLAGS
 from dataset.frames.image_check_cache import check_all_images
 from dataset.index.leaks import find_leaks
 from dataset.parquet_file import read_metadata, write_table
@@ -29,6 +28,7 @@ from dataset.samples.samples_writer import FROM_FRAMES
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.log.tags import Tag, add_tags
+from recorder.rows.causes import PICTURE_FLAGS, ROW_FLAGS
 from recorder.rows.condition import rows_where
 from tests.helpers.driving import road_jpeg, run_code
 from tests.helpers.logs import START_NS, STEP_NS, not_a_picture, write_log
@@ -158,7 +158,7 @@ def test_every_column_stands_on_the_page_with_its_type(title: str, schema: pa.Sc
 
 
 def test_every_flag_stands_on_the_page() -> None:
-    assert sorted(first_column(section("Frames"), "flag")) == sorted(FRAME_FLAGS)
+    assert sorted(first_column(section("Frames"), "flag")) == sorted([*ROW_FLAGS, *PICTURE_FLAGS])
 
 
 def test_every_key_of_the_metadata_stands_on_the_page(folder: Path) -> None:

@@ -122,7 +122,7 @@ def test_a_drive_that_a_merged_log_holds_twice_is_a_leak(tmp_path: Path) -> None
 
 def test_an_altered_picture_in_validation_is_a_leak(tmp_path: Path) -> None:
     [leak] = leak_of(tmp_path, alteration="blur", seed=3)
-    assert "1 sample of validation is altered, or a copy" in leak
+    assert "1 sample of validation altered, or a copy" in leak
 
 
 def test_training_within_the_gap_is_a_leak(tmp_path: Path) -> None:

@@ -13,12 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs, sessions_not_indexed
+from dataset import DatasetError, IndexConfig, Samples, build_index, find_logs
 from dataset.cli import main
 from dataset.config import IndexConfig as Config
-from dataset.frames.frame_flags import ImageFindings
 from dataset.frames.frames_table import frames_table
-from dataset.frames.image_check_cache import read_image_check, write_image_check
 from recorder import Log, LogError
 from recorder.log.tags import Tag, add_tags
 from tests.helpers.driving import Process
@@ -34,19 +32,6 @@ def rewrite(path: Path, table: pa.Table | None = None, **changed: Any) -> None:
     old = pq.read_table(path)
     metadata = {**json.loads(old.schema.metadata[KEY]), **changed}
     pq.write_table((old if table is None else table).replace_schema_metadata({KEY: json.dumps(metadata)}), path)
-
-
-def forget(index: Path) -> None:
-    (index / "state.json").unlink()
-
-
-def test_an_angle_of_the_wheels_that_is_no_number_is_damage(tmp_path: Path) -> None:
-    index = build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index").path
-    with Samples(index) as samples:
-        logs = samples.metadata["logs"]
-    rewrite(index / "samples.parquet", logs={"a": {**logs["a"], "max_steering_deg": [25]}})
-    with Samples(index) as samples, pytest.raises(DatasetError, match=r"samples\.parquet: damaged"):
-        print(samples.max_steering_deg)
 
 
 # What changes while, or after
@@ -93,13 +78,6 @@ def test_an_index_of_an_older_toolkit_is_built_anew(
     assert (tmp_path / "index" / "samples.parquet").stat().st_ino != before
 
 
-def test_samples_of_another_format_are_refused(tmp_path: Path) -> None:
-    build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index")
-    rewrite(tmp_path / "index" / "samples.parquet", format=99)
-    with pytest.raises(DatasetError, match=r"has format 99.*bc-index"):
-        Samples(tmp_path / "index")
-
-
 def test_an_index_with_views_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
     log, index = write_session(tmp_path / "a.mcap", STEERING), tmp_path / "index"
     build_index([log], index)
@@ -125,94 +103,6 @@ def test_two_who_build_one_index_at_once_follow_one_another(tmp_path: Path) -> N
         running = [processes.enter_context(Process(line)) for line in lines]
         assert [process.join() for process in running] == [0] * 4, [process.stderr for process in running]
     Samples(tmp_path / "index").close()
-
-
-def test_a_link_in_the_index_is_not_followed(tmp_path: Path) -> None:
-    path = write_session(tmp_path / "a.mcap", STEERING)
-    other = build_index([path], tmp_path / "other").path
-    (tmp_path / "index").mkdir()
-    (tmp_path / "index" / "frames").symlink_to(other)
-    before = sorted(file.name for file in other.rglob("*"))
-    with pytest.raises(DatasetError, match="not a plain folder"):
-        build_index([path], tmp_path / "index")
-    assert sorted(file.name for file in other.rglob("*")) == before
-
-
-def test_a_link_is_neither_read_nor_written_through(tmp_path: Path) -> None:
-    write_image_check(tmp_path, "other", "f", ImageFindings(3, {}, {}))
-    other, link = (tmp_path / "looks" / f"{name}.json" for name in ("other", "a"))
-    before = other.read_bytes()
-    link.symlink_to(other)
-    assert read_image_check(tmp_path, "a", "f") is None
-    write_image_check(tmp_path, "a", "f", ImageFindings(4, {}, {}))
-    assert other.read_bytes() == before
-    assert read_image_check(tmp_path, "a", "f") == ImageFindings(4, {}, {})
-
-
-# What lies
-
-
-def renamed(frames: pa.Table) -> pa.Table:
-    return frames.set_column(0, "session", pa.array(["x"] * len(frames)))
-
-
-def without_a_column(frames: pa.Table) -> pa.Table:
-    return frames.drop_columns(["speed_mph"])
-
-
-def with_text_for_steering(frames: pa.Table) -> pa.Table:
-    at = frames.column_names.index("steering")
-    return frames.set_column(at, "steering", frames["steering"].cast(pa.string()))
-
-
-def with_holes(frames: pa.Table) -> pa.Table:
-    return frames.set_column(
-        frames.column_names.index("steering"), "steering", pa.array([None] * len(frames), pa.float64())
-    )
-
-
-@pytest.mark.parametrize("change", [renamed, without_a_column, with_text_for_steering, with_holes])
-def test_frames_that_make_no_sense_are_made_anew(tmp_path: Path, change: Any) -> None:
-    path = write_session(tmp_path / "a.mcap", STEERING)
-    samples = build_index([path], tmp_path / "index").samples
-    file = tmp_path / "index" / "frames" / "a.parquet"
-    rewrite(file, change(pq.read_table(file)))
-    forget(tmp_path / "index")
-    again = build_index([path], tmp_path / "index")
-    assert again.read == ["a"]
-    assert again.samples.equals(samples)
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"logs": 5},
-        {"logs": {"a": 1}},
-        {"balance": []},
-        {"balance": {"before": [[1]], "after": [[1]]}},
-        {"counts": "x"},
-    ],
-    ids=str,
-)
-def test_samples_metadata_that_lies_costs_no_traceback(tmp_path: Path, changed: dict[str, Any]) -> None:
-    path = write_session(tmp_path / "a.mcap", STEERING)
-    indexed = build_index([path], tmp_path / "index")
-    samples, state = tmp_path / "index" / "samples.parquet", tmp_path / "index" / "state.json"
-    rewrite(samples, **changed)
-    status = samples.stat()
-    state.write_text(
-        json.dumps({**json.loads(state.read_text()), "samples": [status.st_size, status.st_mtime_ns]})
-    )
-    assert isinstance(sessions_not_indexed(tmp_path / "index", tmp_path), list)
-    assert build_index([path], tmp_path / "index").balance.as_dict() == indexed.balance.as_dict()
-
-
-def test_deeply_nested_metadata_costs_no_traceback(tmp_path: Path) -> None:
-    build_index([write_session(tmp_path / "a.mcap", STEERING)], tmp_path / "index")
-    path = tmp_path / "index" / "samples.parquet"
-    pq.write_table(pq.read_table(path).replace_schema_metadata({KEY: b"[" * 200_000}), path)
-    with pytest.raises(DatasetError, match="damaged"):
-        Samples(tmp_path / "index")
 
 
 # What cannot be

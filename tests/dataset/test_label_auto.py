@@ -61,12 +61,6 @@ def test_keys_are_learnt_as_with_the_flags_that_suit_them(tmp_path: Path) -> Non
     assert automatic.samples.equals(given.samples)
 
 
-def test_as_recorded_is_as_it_was_driven(tmp_path: Path) -> None:
-    log = write_drive(tmp_path / "a.mcap", NO_PICTURES, keys)
-    label, recorded = label_and_recorded(indexed(tmp_path, log, labels="as-recorded"))
-    assert label.tolist() == recorded.tolist() == np.float64(keys(np.arange(ROWS) / 10)).tolist()
-
-
 def test_seconds_that_are_given_hold_for_every_session(tmp_path: Path) -> None:
     logs = [
         write_drive(tmp_path / "a.mcap", NO_PICTURES, keys),

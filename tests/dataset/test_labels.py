@@ -176,12 +176,6 @@ def test_a_ramp_is_shifted_exactly_and_smoothing_does_not_bend_it() -> None:
     assert (smoothed[0], smoothed[-1]) == (2 / 64, 61 / 64)  # the window is cut at the edge
 
 
-def test_a_key_that_was_pressed_becomes_a_ramp() -> None:
-    pressed = [Row(step_ms=100, steering=float(5 <= row < 15)) for row in range(20)]
-    ramp = [0, 0, 0, 0.2, 0.4, 0.6, 0.8, 1, 1, 1]
-    assert labels(pressed, 0.4, 0) == pytest.approx(ramp + ramp[::-1], abs=1e-11)
-
-
 # From a log to its samples
 
 STEERING = [round(0.3 + 0.005 * row, 3) for row in range(100)]
@@ -198,12 +192,6 @@ def indexed(tmp_path: Path, **settings: Any) -> Indexed:
 
 def straight(samples: pa.Table, column: str = "label", camera: str = "center") -> dict[int, float]:
     return {row["row"]: row[column] for row in samples.to_pylist() if row["camera"] == camera and not row["flip"]}
-
-
-def test_by_default_the_label_is_as_recorded(tmp_path: Path) -> None:
-    samples = indexed(tmp_path).samples
-    assert samples["label"].to_pylist() == samples["recorded"].to_pylist()
-    assert straight(samples) == dict(enumerate(STEERING))
 
 
 def test_labels_are_corrected_mirrored_and_binned_after_they_were_treated(tmp_path: Path) -> None:

@@ -149,15 +149,11 @@ def test_the_loader_alters_a_networks_view_before_its_colours(tmp_path: Path) ->
     "changed",
     [
         {"channels": "HSV"},
-        {"channels": ["BGR"]},
         {"resize": "nearest"},
         {"crop_top": "50/120"},
         {"crop_top": "150/160"},
-        {"crop_bottom": "-1/160"},
         {"width_px": "99999999"},
-        {"width_px": "0"},
         {"width_px": 128},
-        {"height_px": "٣٢"},
         {"more": "1"},
     ],
 )

@@ -22,7 +22,6 @@ from recorder.log.session_car import BUILT_IN, car_in
 from recorder.sources.built_in_simulator import record_simulated
 from recorder.sources.settings import SimulatedDrive
 from simulator.cli import main as sim_main
-from simulator.roads.track import load_track
 from tests.helpers.driving import Process as Child
 from tests.helpers.driving import command, one_line_in, run, untrained_run
 from tests.helpers.logs import read_messages
@@ -58,23 +57,6 @@ def test_a_recording_has_cameras_vehicle_and_pose_at_equal_times(recorded: Impor
     gaps_ns = {after - before for (_, before), (_, after) in zip(stamps[0], stamps[0][1:], strict=False)}
     assert min(gaps_ns) == 100_000_000  # 10 rows a second
     assert all(gap_ns == 100_000_000 or gap_ns >= 1_000_000_000 for gap_ns in gaps_ns)  # pushes are gaps
-
-
-def test_nothing_is_recorded_past_the_share_of_the_lap(recorded: Imported) -> None:
-    """The nearest point of the centre line to every pose lies within the first 0.02 of its length."""
-    line = load_track("lake").line
-    points_m = line.points_m[:, :2]
-    end_m = (DRIVE.laps or 0.0) * line.length_m
-    arcs_m = []
-    for _, pose in read_messages(recorded.path)["/pose"]:
-        position = pose.pose.position
-        distance_m = ((points_m - (position.x, position.y)) ** 2).sum(axis=1) ** 0.5
-        assert distance_m.min() < 6.0
-        arcs_m.append(int(distance_m.argmin()) * line.length_m / len(points_m))
-    # the pose is that of the rear axle: at the start it stands behind the line
-    arcs_m = [arc_m - line.length_m if arc_m > line.length_m / 2 else arc_m for arc_m in arcs_m]
-    assert min(arcs_m) > -3.0
-    assert 0.5 * end_m < max(arcs_m) <= end_m + 0.5
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(recorded: Imported, tmp_path: Path) -> None:

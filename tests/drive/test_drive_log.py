@@ -174,32 +174,6 @@ def test_a_healthy_drive_passes_bc_log_check_and_is_one_drive(tmp_path: Path) ->
     assert "1 drive; no odd rows" in info.stdout
 
 
-def test_bc_log_check_shows_what_could_not_be_used(tmp_path: Path) -> None:
-    """Every one is counted, and not only those that became an event of their own."""
-    path = tmp_path / "run.mcap"
-    with drive_log(path) as log:
-        for i in range(1_500):
-            log.decision(replace(BAD, problem=f"image is cut off ({i} bytes)", kind="image is cut off"), 0.1)
-        log.decision(BAD, 0.1)
-    checked = run("bc-log", "check", path)
-    assert checked.returncode == 3
-    assert (
-        "kinds of unusable telemetry: 2 (image is cut off (1,500), not an object but a list (1))" in checked.stdout
-    )
-
-
-def test_what_was_out_of_range_is_in_the_log_as_it_came(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with drive_log(path) as log:
-        for i in range(3):
-            row = decided(i)
-            assert row.telemetry is not None
-            log.decision(replace(row, telemetry=replace(row.telemetry, steering=160.0, throttle=-0.5)), 2.0)
-    states = [state for _, state in read_messages(path)["/vehicle"]]
-    assert [(state.steering, state.throttle) for state in states] == [(160.0, -0.5)] * 3
-    assert [finding.kind for finding in check(path).findings] == ["stretches of values out of range"]
-
-
 def test_events_of_decisions_stand_in_their_order(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with drive_log(path) as log:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from recorder.upkeep.check_contents import Finding
 from tests.helpers.driving import PATIENCE_S, command, environment, one_line_in
 from tests.helpers.logs import START_NS, STEP_NS, flip_bit, read_messages, write_log
 from tests.helpers.places import Place
-from tests.helpers.plain_mcap import contents, plain_writer
+from tests.helpers.plain_mcap import contents
 from tests.helpers.udacity import call, jpeg, picture
 
 
@@ -192,24 +191,6 @@ def test_info_shows_gaps_odd_rows_and_tags(tmp_path: Path, capsys: pytest.Captur
     assert "tag recovery: rows 3 to 5" in printed
 
 
-def test_info_of_very_many_topics_and_settings_shows_the_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / "many.mcap"
-    with plain_writer(log, "", "somebody") as writer:
-        for number in range(300):
-            writer.register_channel(f"/topic_{number:03d}", "json", 0)
-        writer.add_metadata("bc.session", {f"setting_{number:04d}": "x" for number in range(1300)})
-    assert call(main, "info", log) == 0
-    output = capsys.readouterr().out
-    assert (output.count("/topic_"), output.count("setting_")) == (200, 200)
-    assert "and 100 more topics (--json lists them)" in output
-    assert "and 1,100 more settings (--json lists them)" in output
-    assert call(main, "info", log, "--json") == 0
-    described = json.loads(capsys.readouterr().out)
-    assert (len(described["topics"]), len(described["session"])) == (300, 1300)
-
-
 def test_info_reads_only_the_end_of_a_finished_log(
     tmp_path: Path, place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -377,7 +358,7 @@ def test_a_whole_log_is_not_recovered_but_copied_if_that_is_asked_for(
     assert read_messages(tmp_path / "b.mcap").keys() == read_messages(path).keys()
 
 
-@pytest.mark.parametrize(("damaged", "code"), [("chunk", 3), ("index", 0), ("summary", 0), ("metadata", 3)])
+@pytest.mark.parametrize(("damaged", "code"), [("chunk", 3), ("index", 0), ("summary", 0), ("metadata", 0)])
 def test_what_is_not_whole_in_every_byte_is_recovered(
     tmp_path: Path, damaged: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -510,19 +491,6 @@ def test_info_is_valid_json_whatever_a_log_reports_of_itself(
 
     reported = json.loads(capsys.readouterr().out, parse_constant=refuse)
     assert (reported["stretches"], reported["driven_s"]) == ([], None)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit addresses")
-@pytest.mark.parametrize("megabytes", [600, *(pytest.param(size, marks=pytest.mark.long) for size in (500, 650))])
-def test_too_little_memory_is_reported_in_a_line(tmp_path: Path, megabytes: int) -> None:
-    """OpenCV would end the process without a word. Where it suffices, because processors are few, all is well."""
-    path = write_log(tmp_path / "a.mcap", [0.1] * 5, picture)
-    limited = ["bash", "-c", f'ulimit -v {megabytes * 1000}; exec "$@"', "bash", *command("bc-log", "check", path)]
-    done = subprocess.run(
-        limited, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
-    assert "nothing wrong" in done.stdout or "\nbc-log: not enough memory" in f"\n{done.stderr}", done.stderr
-    assert done.returncode in (0, 1)
 
 
 def test_a_long_setting_of_a_log_is_a_few_lines_and_whole_in_json(

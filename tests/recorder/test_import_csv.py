@@ -125,16 +125,6 @@ def test_times_in_another_unit_are_asked_about(
     assert likely in printed if likely else printed == ""
 
 
-@pytest.mark.parametrize(
-    ("order", "is_sorted"), [([3, 1, 0, 2, 5, 4], True), ([*range(10, 20), *range(10)], False)]
-)
-def test_a_shuffled_csv_is_sorted_about(tmp_path: Path, order: list[int], is_sorted: bool) -> None:
-    csv = "p,s,t\n" + "".join(f"{row}.jpg,0,{row / 10}\n" for row in order)
-    folder = folder_of(tmp_path, csv, [f"{row}.jpg" for row in order])
-    printed = " ".join(imported(folder, "image=p", "steering=s", "time_s=t").notices)
-    assert printed == ("time went back 3 times, so its rows were sorted by time" if is_sorted else "")
-
-
 def test_of_two_columns_with_one_name_none_is_guessed(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "p,s,s\na.jpg,0.5,0.25\n", ["a.jpg"])
     with pytest.raises(RecordingError, match="several columns 's'; name all by number, from 1"):

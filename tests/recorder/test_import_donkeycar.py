@@ -89,14 +89,6 @@ def test_every_record_of_a_version_1_tub(tmp_path: Path) -> None:
     }
 
 
-def test_records_whose_time_goes_back_keep_their_order(tmp_path: Path) -> None:
-    times = [FIRST_MS + 5_000, FIRST_MS + 5_050, FIRST_MS, FIRST_MS + 50]
-    records = [record_2(index, _timestamp_ms=ms) for index, ms in enumerate(times)]
-    done = imported(write_tub_2(tmp_path / "data", records))
-    assert [time_ns for time_ns, *_ in frames_of(done.path)] == [ms * 1_000_000 for ms in times]
-    assert kept(done.path) == [0, 1, 2, 3]
-
-
 def without(record: dict[str, object], field: str) -> dict[str, object]:
     return {key: value for key, value in record.items() if key != field}
 

@@ -216,24 +216,6 @@ def test_pictures_without_a_row_are_named(tmp_path: Path) -> None:
     assert events == [f"skipped {reason}: {name}" for name in names]
 
 
-def test_several_drives_and_time_going_backwards_keep_their_order(tmp_path: Path) -> None:
-    numbers = [300, 301, 0, 1, 90]  # half a minute, back to the start, and a gap of nine seconds
-    csv = "".join(f"{paths(number)},0.{position},0,0,5\n" for position, number in enumerate(numbers))
-    make_recording(tmp_path, csv, numbers)
-    done = imported(tmp_path)
-    assert (done.rows, done.pictures, len(done.skipped)) == (5, 15, 0)
-    expected = [(START_NS + number * 100_000_000, position) for position, number in enumerate(numbers)]
-    for topic in ("/vehicle", "/camera/center", "/camera/left", "/camera/right"):
-        assert [(m.log_time, m.sequence) for m, _ in read_messages(done.path)[topic]] == expected
-    assert [steering for steering, *_ in values_of(done.path)] == [0.0, 0.1, 0.2, 0.3, 0.4]
-
-
-def test_a_shuffled_recording_is_sorted(tmp_path: Path) -> None:
-    make_recording(tmp_path, "".join(f"{paths(number)},{CELLS[0]}\n" for number in (2, 0, 1)))
-    (printed,) = imported(tmp_path).notices
-    assert printed == "time went back 1 time, so its rows were sorted by time"
-
-
 @pytest.mark.parametrize("kept", [20, 120, -18, -12])
 def test_a_last_row_that_is_cut_off_is_named(tmp_path: Path, kept: int) -> None:
     last = f"{paths(2)},0.05,0.5,1,30.19"

@@ -212,19 +212,6 @@ def test_a_held_telemetry_reaches_the_handler_when_its_client_goes(hangs_up: boo
     assert book.calls.index("unanswered") < book.calls.index("disconnected" if hangs_up else "final_command")
 
 
-def test_a_client_that_connects_again_owes_nothing() -> None:
-    book = Pushing()
-    with serving(book):
-        loop = pushed_loop(book, 1)
-        loop.client.vanish()
-        wait_until(lambda: "disconnected" in book.calls)
-        again = Loop(book.server.port, 2)
-        for number in range(2):
-            again.expect_answer_to(number)
-        again.client.close()
-    assert book.left == []
-
-
 @pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("in_flight", [1, 2])
 def test_a_first_command_is_paid_back_and_reported(in_flight: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,34 +253,6 @@ def test_the_number_in_flight_is_counted() -> None:
         assert book.server.in_flight(book.sid) == 2
         loop.client.close()
     assert book.in_flight[1:] == [2, 2, 2]
-
-
-def test_the_age_of_a_picture_includes_its_waiting() -> None:
-    """One telemetry comes while another is handled, which takes long: it has waited for as long."""
-    is_handling, goes_on = threading.Event(), threading.Event()
-    handled_s: list[float] = []
-
-    class Slow(Book):
-        def telemetry(self, sid: str, data: object, received_s: float) -> Answer:
-            began_s = time.perf_counter()
-            is_handling.set()
-            assert goes_on.wait(PATIENCE_S)
-            time.sleep(0.0 if handled_s else 0.3)
-            handled_s.append(time.perf_counter() - began_s)
-            return super().telemetry(sid, data, received_s)
-
-    book = Slow()
-    with Serving(book) as running:
-        client = at_once(RawClient(running.port))
-        client.tell(fields(0))
-        assert is_handling.wait(PATIENCE_S)
-        client.tell(fields(1))
-        goes_on.set()
-        for number in range(2):
-            assert client.command() == answer_to(number)
-        wait_until(lambda: len(book.answered_ms) == 2)
-        client.close()
-    assert min(book.answered_ms) >= handled_s[0] * 1e3
 
 
 def test_what_was_sent_and_is_not_handled_yet_is_no_silence() -> None:

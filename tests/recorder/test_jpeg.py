@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from dataset import decode
 from recorder.pictures.picture_size import (
     PADDING_BYTES,
-    SizeReader,
     decode_picture,
     is_whole_jpeg,
     whole_jpeg_size,
@@ -198,11 +197,3 @@ def test_it_is_that_of_the_picture_when_it_is_decoded(data: bytes) -> None:
     assert decoded is not None
     height, width, _ = decoded.shape
     assert width_and_height(data) == (width, height)
-
-
-def test_a_reader_of_many_gives_the_same_in_whatever_order_they_come() -> None:
-    others = [b"", b"no picture", *(data[:20] for data in ENCODED.values())]
-    for first, second in product([*ENCODED.values(), *others], repeat=2):
-        reader = SizeReader()
-        for data in (first, second, first, second):
-            assert reader.width_and_height(data) == width_and_height(data)

@@ -139,14 +139,6 @@ def test_what_is_kept_is_for_one_content_and_may_be_damaged(tmp_path: Path, unme
     assert describe(unmeasured).lacks_lag
 
 
-def test_a_check_that_cannot_keep_the_lag_reports_so(unmeasured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    unmeasured.with_name("a.lag.json").mkdir()
-    call(main, "check", unmeasured)
-    out, err = capsys.readouterr()
-    assert "lag +0.30" in out
-    assert "`bc-index --look` keeps the lag in the index" in " ".join(err.split())
-
-
 def test_a_derived_log_has_the_lag_of_its_own_rows(tmp_path: Path) -> None:
     whole = write_drive(tmp_path / "whole.mcap", views(ROWS), half_late)
     describe(whole, look=True)

@@ -4,14 +4,13 @@ pictures with them; a chunk of pictures costs no row. All of it is told by its n
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from common.car import CAMERAS
-from recorder import LogWriter
+from recorder import Log, LogWriter
 from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.topics import PICTURE_TOPICS, ROW_TOPICS
 from recorder.upkeep.check import check
@@ -101,7 +100,11 @@ def complaints_of(whole: Path, lost: list[StoredChunk], *, is_killed: bool = Fal
     original = contents(whole)
     left, gone = expected(original, lost)
     to = whole.with_name("recovered.mcap")
-    written = recover(without(whole, lost, is_killed=is_killed), to, overwrite=True)
+    damaged = without(whole, lost, is_killed=is_killed)
+    with Log(damaged) as log:
+        if is_killed and original.chunks[-1] not in lost and "bytes before it are damaged" not in log.notice:
+            yield log.notice
+    written = recover(damaged, to, overwrite=True)
     content = contents(to)
     if content.by_topic != by_topic(left):
         yield f"{len(content.messages)} messages, not {len(left)}"
@@ -139,20 +142,6 @@ def test_whatever_chunk_is_lost_costs_no_more_than_it_must(whole: Path, is_kille
         for chunk in (behind_descriptions(chunks) if is_killed else chunks)
         for complaint in complaints_of(whole, [chunk], is_killed=is_killed)
     ]
-    assert complaints == []
-
-
-@pytest.mark.parametrize("is_killed", [False, True], ids=["finished", "killed"])
-@pytest.mark.parametrize("times", [10, pytest.param(200, marks=pytest.mark.long)])
-def test_whatever_chunks_are_lost_cost_no_more_than_they_must(whole: Path, is_killed: bool, times: int) -> None:
-    chunks = contents(whole).chunks
-    chance = random.Random(5)
-    complaints = []
-    for turn in range(times):
-        lost = chance.sample(behind_descriptions(chunks), chance.randint(2, 5))
-        complaints += [
-            f"turn {turn}: {complaint}" for complaint in complaints_of(whole, lost, is_killed=is_killed)
-        ]
     assert complaints == []
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 import zlib
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from recorder import Log, LogError
+from recorder import Log
 from recorder.log_cli import main
 from recorder.topics import LIBRARY
 from recorder.upkeep.check import check
@@ -213,19 +212,3 @@ def test_our_own_logs_have_no_other_records(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(file(is_chunked=True, has_summary=False, other=record(PRIVATE, ADDED), library=LIBRARY))
     assert check(path).is_damaged
-
-
-@pytest.mark.parametrize("at_end", ["after_chunk", "after_end"])
-@pytest.mark.parametrize("has_summary", [True, False])
-def test_no_byte_can_change_unnoticed(at_end: str, has_summary: bool, tmp_path: Path) -> None:
-    """What is added makes no damage invisible."""
-    added = {at_end: ADDED, "other": record(PRIVATE, ADDED)}
-    data = file(is_chunked=True, has_summary=has_summary, **added)  # type: ignore[arg-type]
-    path, unnoticed = tmp_path / "a.mcap", []
-    for at in range(len(data)):
-        path.write_bytes(data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :])
-        with contextlib.suppress(LogError):
-            if not check(path).findings:
-                unnoticed.append(data[at : at + 1])
-    # the CRC of all data is in the record DataEnd, and does not cover it
-    assert unnoticed == ([bytes([byte]) for byte in ADDED] if at_end == "after_end" else [])

@@ -1,16 +1,14 @@
-"""Copies of logs to S3 in several parts: stopped, killed, two at once, to a name that somebody takes meanwhile."""
+"""Copies of logs to S3 in several parts, stopped and killed."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from common.errors import ObjectExistsError, StoreError
+from common.errors import StoreError
 from recorder.log_cli import main
 from recorder.upkeep.copy_log import copy_log
 from tests.helpers.bucket import Bucket, in_parts_of, unfinished_parts
@@ -64,28 +62,3 @@ def test_ctrl_c_ends_a_copy(bucket: Bucket, log: Path) -> None:
     bucket.pass_all()
     assert contents(bucket) == {}
     assert len(unfinished_parts(bucket)) < AT_ONCE
-
-
-def test_two_machines_may_send_the_same_log_at_once(bucket: Bucket, log: Path, tmp_path: Path) -> None:
-    (tmp_path / "other").mkdir()
-    other = Path(shutil.copy(log, tmp_path / "other"))
-    bucket.delay_s = 0.01
-    with ThreadPoolExecutor() as machines:
-        for copied in machines.map(lambda path: copy_log(path, bucket.url("a.mcap")), (log, other)):
-            assert copied.size == log.stat().st_size
-    assert contents(bucket) == {"a.mcap": log.read_bytes()}
-
-
-def test_who_takes_the_name_meanwhile_wins_unless_it_may_be_replaced(bucket: Bucket, log: Path) -> None:
-    def somebody(passing: Passing) -> bool:
-        if passing.command == "POST" and "?uploads" in passing.path:
-            (bucket.folder / "a.mcap").write_bytes(b"somebody else's")
-        return False
-
-    bucket.answer = somebody
-    with pytest.raises(ObjectExistsError):
-        copy_log(log, bucket.url("a.mcap"))
-    assert contents(bucket) == {"a.mcap": b"somebody else's"}
-    assert unfinished_parts(bucket) == []
-    copy_log(log, bucket.url("a.mcap"), overwrite=True)
-    assert contents(bucket) == {"a.mcap": log.read_bytes()}

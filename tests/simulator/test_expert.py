@@ -4,26 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from common.car import MPS_PER_MPH
 from simulator.driving.course import Course
 from simulator.driving.expert import BEND_MPS2, Expert, plan_speed
 from simulator.driving.recovery_driving import PUSH_S, DriveStep, drive_for_recording
 from simulator.roads.centreline import Centreline
+from simulator.roads.track import Track
 
 
-@dataclass
-class Road:
-    line: Centreline
-    half_width_m: NDArray[np.float64]
-
-
-def road(*stretches: tuple[float, float], half_width_m: float = 4.0, slope: float = 0.0) -> Road:
+def road(*stretches: tuple[float, float], half_width_m: float = 4.0, slope: float = 0.0) -> Track:
     """Arcs of (length in m, turn to the left in degrees) that close; it climbs and falls by ``slope`` at most."""
     points, place, heading = [], 0j, 0.0
     for length_m, turn in stretches:
@@ -36,7 +29,8 @@ def road(*stretches: tuple[float, float], half_width_m: float = 4.0, slope: floa
     plane = np.array(points)
     height = slope * len(plane) * 0.25 / math.tau * np.sin(np.linspace(0, math.tau, len(plane), False))
     line = Centreline(np.stack([plane.real, plane.imag, height], axis=1))
-    return Road(line, np.full(len(line.points_m), half_width_m))
+    count = len(line.points_m)
+    return Track("road", line, np.full(count, half_width_m), (), np.zeros(count, np.intp))
 
 
 OVAL = road((120, 0), (40 * math.pi, 180), (120, 0), (40 * math.pi, 180))
@@ -56,7 +50,7 @@ HAIRPINS = road(  # of 12 m, both ways, at 12 %, with two narrow lanes
 
 @pytest.mark.parametrize("mph", [10, 30])
 @pytest.mark.parametrize("track", [OVAL, HAIRPINS], ids=["oval", "hairpins"])
-def test_a_lap_stays_near_the_line(track: Road, mph: float) -> None:
+def test_a_lap_stays_near_the_line(track: Track, mph: float) -> None:
     course, expert = Course(track), Expert(track.line, mph)
     while course.whole_laps < 1:
         course.advance(*expert.control(course))
@@ -103,7 +97,9 @@ def test_noise_wanders_by_its_deviation_without_leaving_the_line_far() -> None:
     assert course.measures.max_offset < 0.3
 
 
-def record(track: Road, laps: float = 0.5, mph: float = 10, seed: int = 1, share: float = 0.35) -> list[DriveStep]:
+def record(
+    track: Track, laps: float = 0.5, mph: float = 10, seed: int = 1, share: float = 0.35
+) -> list[DriveStep]:
     expert = Expert(track.line, mph, noise=0.02, seed=seed)
     return list(drive_for_recording(Course(track), expert, laps, recovery_share=share, seed=seed))
 
@@ -120,7 +116,7 @@ def recoveries(steps: list[DriveStep]) -> list[list[DriveStep]]:
 
 @pytest.mark.parametrize("mph", [10, 30])
 @pytest.mark.parametrize("track", [OVAL, HAIRPINS], ids=["oval", "hairpins"])
-def test_every_recovery_comes_back_to_the_line_and_stays_on_the_road(track: Road, mph: float) -> None:
+def test_every_recovery_comes_back_to_the_line_and_stays_on_the_road(track: Track, mph: float) -> None:
     recovered = recoveries(record(track, laps=1, mph=mph))
     assert len(recovered) > 5
     for steps in recovered[:-1]:  # the end of the drive may cut the last one short

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from simulator.driving.course import Course
 from simulator.driving.drive_limits import DriverName
-from simulator.driving.person import FULL_LOCK_PX, REACTION_S
+from simulator.driving.person import FULL_LOCK_PX, REACTION_S, make_driver
 from simulator.driving.recovery_driving import PUSH_S, DriveStep, drive_for_recording
-from simulator.driving.simulated_driver import make_driver
 from simulator.driving.vehicle import STEP_S
 from simulator.roads.track import load_track
 

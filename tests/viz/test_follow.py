@@ -296,19 +296,6 @@ def test_a_finished_log_is_shown_as_ever(tmp_path: Path, capsys: pytest.CaptureF
     assert "McapChannel:topic" in entities["/camera/center"]  # which its summary tells, at its end
 
 
-def test_what_could_not_be_shown_is_named_and_the_exit_code_is_3(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = write_rows(tmp_path / "a.mcap")
-    data = bytearray(whole.read_bytes())
-    data[data.index(picture(5, 1)) + 1000] ^= 1
-    part = tmp_path / "a.mcap.ab12cd.part"
-    part.write_bytes(data[:-8])  # its last bytes are not there yet
-    assert call(main, part, "--follow", "--save", tmp_path / "a.rrd") == 3
-    assert capsys.readouterr().err.startswith("skipped stretches of unreadable bytes: 1 (")
-    assert (tmp_path / "a.rrd").exists()
-
-
 def test_pictures_too_old_to_be_shown_are_reported_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

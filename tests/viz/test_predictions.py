@@ -16,7 +16,6 @@ from drive.cli import main as drive_main
 from model import RunError, load_pilot
 from model.evaluation.predict_log import predict_log
 from recorder import Log, LogWriter
-from recorder.bc_pb2 import PilotCommand, VehicleState
 from recorder.upkeep.check import check
 from tests.helpers.driving import road_jpeg, untrained_run
 from tests.helpers.logs import START_NS, STEP_NS, read_messages, write_log
@@ -145,16 +144,6 @@ def test_their_steering_is_drawn_over_the_frame(shown: Path, printed: dict[str, 
     assert first["LineStrips2D:colors"] != second["LineStrips2D:colors"]
 
 
-def test_where_an_expert_took_over_his_command_counts_as_in_an_index(project: Path, tmp_path: Path) -> None:
-    pilot, expert = PilotCommand.PILOT, PilotCommand.EXPERT
-    with LogWriter(tmp_path / "drive.mcap", {}) as log:
-        for row, (wheels, commanded, driver) in enumerate([(0.1, 0.2, pilot), (0.2, -0.5, expert)]):
-            log.picture("center", START_NS + row, row, road_jpeg(row))
-            log.vehicle(START_NS + row, row, VehicleState(steering=wheels))
-            log.command(START_NS + row, row, PilotCommand(steering=commanded, driver=driver))
-    assert predict_log(tmp_path / "drive.mcap", [project / "runs" / "first"]).recorded.tolist() == [0.1, -0.5]
-
-
 # A log of their own
 
 
@@ -239,9 +228,6 @@ def test_a_log_is_never_written_over(
         assert call(main, log, *flags, tmp_path / name, "--force") == 1
         assert f"{flags[-1]} {tmp_path / name}: is the log itself" in capsys.readouterr().err
     assert log.read_bytes() == (project / "session.mcap").read_bytes()
-    both = tmp_path / "both"
-    assert call(main, log, "--run", "first", "--save", both, "--write", both) == 2
-    assert f"--write {both}: two files would have this name" in capsys.readouterr().err
 
 
 # Logs that are not as they should be

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from recorder import Log
-from recorder.log.tags import FINE, Tag, add_tags, read_tags
+from recorder.log.tags import Tag, read_tags
 from tests.helpers.faulty_session import CRASH, GAP_AT, STUCK, write_faulty
 from tests.helpers.logs import write_log
 from tests.helpers.waiting import wait_until
@@ -60,29 +60,6 @@ def test_what_a_kind_or_a_condition_finds_is_named_by_log(bench: Served) -> None
     assert found_rows(bench, "/sessions.found?only=with+surely+odd+rows&text=second") == {"second": [[*CRASH]]}
     where = "/sessions.found?where=row+%3C+2+or+row+%3E+48"
     assert found_rows(bench, f"{where}&text=good") == {"good": [[0, 1], [49, 49]]}
-
-
-def test_what_was_dealt_with_is_not_found_again(bench: Served) -> None:
-    log = bench.folder / "sessions" / "first.mcap"
-    with Log(log) as opened:
-        fingerprint = opened.fingerprint
-    middle = (CRASH[0] + CRASH[1]) // 2
-    add_tags(log, fingerprint, [Tag(CRASH[0], middle, FINE)])
-    assert "first" in found_rows(bench, CRASHES)
-    add_tags(log, fingerprint, [Tag(middle + 1, CRASH[1], "exclude")])
-    assert "first" not in found_rows(bench, CRASHES)
-
-
-def test_one_request_changes_all_logs_and_one_takes_it_back(bench: Served) -> None:
-    answer = change(bench, asked(bench)).json
-    folder = bench.folder / "sessions"
-    assert answer["commands"] == [
-        f"bc-log tag {folder / name}.mcap exclude --rows {CRASH[0]} {CRASH[1]}" for name in ("first", "second")
-    ]
-    assert tags(bench, "first") == tags(bench, "second") == [Tag(*CRASH, "exclude")]
-    assert change(bench, answer["changed"]).json["changed"] == []
-    change(bench, answer["changed"], action="remove")
-    assert tags(bench, "first") == tags(bench, "second") == []
 
 
 def test_a_log_that_cannot_be_tagged_is_named_and_the_others_are(bench: Served) -> None:

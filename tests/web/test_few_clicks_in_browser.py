@@ -15,8 +15,7 @@ from tests.helpers.drives import a_drive
 from tests.helpers.driving import road_jpeg, untrained_run
 from tests.helpers.histories import epoch_line, write_lines
 from tests.helpers.logs import write_log
-from tests.helpers.pages import drop, open_session, opened_page, with_token
-from tests.helpers.udacity import make_recording, paths
+from tests.helpers.pages import opened_page, with_token
 from tests.helpers.waiting import wait_until
 from tests.helpers.workbench import served
 
@@ -59,31 +58,6 @@ def test_three_clicks_show_why_a_drive_left_the_road(browser: Browser, tmp_path:
         page.wait_for_selector("#session[data-course] #course-map circle", state="attached")
         page.click("#attention")  # and where it looks
         page.wait_for_selector("figure[data-attention*='/r/5?'] .attention")
-
-
-def test_five_clicks_and_a_drop_import_train_and_drive(
-    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the real commands. The pages of November 24 took nineteen clicks and keys at least."""
-    monkeypatch.setenv("BC_CACHE", str(tmp_path / "cache"))
-    rows = range(40)
-    lines = [f"{paths(row)},{0.1 * (row % 5 - 2)},0.5,0,9.5\n" for row in rows]
-    make_recording(tmp_path / "mine" / "lake", "".join(lines), rows)
-    with served(tmp_path / "project") as bench, opened_page(browser, bench.address) as page:
-        page.click(".hero a[href='/import']")
-        page.wait_for_selector("#drop")
-        page.wait_for_load_state()  # with its scripts
-        drop(page, tmp_path / "mine" / "lake")
-        page.click(".recording button")
-        open_session(page)
-        page.click("text=Train on it")
-        page.click("text=Let it drive: net-lake")  # as soon as it has learnt
-        page.click("button:text('Take the wheel')")
-        page.wait_for_selector("#wheel[data-holder=true][data-frame]")
-        assert "the network drives" in wait_until(lambda: page.inner_text("#driver"))
-        page.keyboard.press("Escape")
-        page.keyboard.press("Enter")
-        page.wait_for_selector("#after button")
 
 
 def test_four_clicks_and_keys_drive_learn_and_watch_the_network_drive(

@@ -13,7 +13,7 @@ from common.car import Camera
 from recorder import Log
 from tests.helpers.logs import write_log
 from web.logs.film_strip import film_strip
-from web.processes.neighbour_map import ROUNDS, groups, neighbour_map
+from web.processes.picture_maps import groups
 
 
 @pytest.mark.parametrize("shape", [(1, 60_000), (60_000, 1), (1, 1), (161, 401)])
@@ -41,41 +41,6 @@ def test_pictures_of_any_shape_are_cut_to_their_middle_in_little_memory(
     assert shown.shape == (80, 640, 3)
     assert all(shown[30:50, left + 70 : left + 90].min() > 200 for left in range(0, 640, 160))
     assert max_bytes < 50e6
-
-
-KINDS, EACH = 4, 60
-
-
-def blobs() -> tuple[np.ndarray, np.ndarray]:
-    """Things of four kinds (N, 50), in no order, and their kinds (N,)."""
-    random = np.random.default_rng(3)
-    centres = random.normal(0, 10, (KINDS, 50))
-    kind = random.permutation(np.repeat(np.arange(KINDS), EACH))
-    return (centres[kind] + random.normal(0, 1, (len(kind), 50))).astype(np.float32), kind
-
-
-def test_alike_things_lie_near_each_other() -> None:
-    features, kind = blobs()
-    rounds = []
-    layout = neighbour_map(features, lambda: rounds.append(1))
-    assert len(rounds) == ROUNDS
-    apart = np.linalg.norm(layout.place[:, None] - layout.place[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    assert (kind[apart.argmin(1)] == kind).all()
-    is_same = kind[:, None] == kind[None]
-    np.fill_diagonal(is_same, False)
-    assert apart[is_same].max() < np.median(apart[~is_same & np.isfinite(apart)])
-    assert (neighbour_map(features).place == layout.place).all()
-
-
-def test_lonely_ones_and_doubles_stand_out() -> None:
-    features, _ = blobs()
-    features[7] = features[11]
-    features[20] += 100
-    layout = neighbour_map(features)
-    assert layout.alone.argmax() == 20
-    assert set(np.flatnonzero(layout.nearest < 0.1)) == {7, 11}
-    assert np.median(layout.nearest) == pytest.approx(1)
 
 
 def test_groups_are_those_that_lie_together_the_largest_first() -> None:

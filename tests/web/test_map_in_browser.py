@@ -313,16 +313,6 @@ def test_what_cannot_be_shown_reports_why(bench: Served) -> None:
     assert '<option value="r" selected>' in bench.get("/map?of=sessions/day").text  # the newest that can be run
 
 
-def test_a_damaged_map_is_made_again(bench: Served) -> None:
-    query = "of=sessions/day&run=pixels"
-    bench.ask("POST", f"/map.state?{query}")
-    key = wait_until(lambda: (state := bench.get(f"/map.state?{query}").json)["about"] and state["key"])
-    kept = next((bench.folder / "cache").rglob(f"{key}.npz"))
-    kept.write_bytes(kept.read_bytes()[:100])
-    assert bench.get(f"/map.state?{query}").json["about"] is None
-    assert not kept.exists()
-
-
 def test_a_session_that_has_changed_since_is_left_out(bench: Served) -> None:
     path = bench.folder / "sessions" / "day.mcap"
     before = path.read_bytes()

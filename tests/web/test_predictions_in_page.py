@@ -25,6 +25,7 @@ from tests.helpers.pages import open_session, opened_page
 from tests.helpers.toy import STEERING, road
 from tests.helpers.waiting import wait_until
 from tests.helpers.workbench import Served, served
+from web.processes.kept_work import KeptWork
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -221,3 +222,13 @@ def test_of_a_car_whose_angle_is_unknown_it_shows_shares_of_full_lock(browser: B
         page.wait_for_selector("#session[data-run=constant]")
         assert f"RMSE {rmse:.2f} % of full lock; always" in page.inner_text("#predicted")
         assert "% of full lock too far right" in page.locator("#worst li").first.inner_text()
+
+
+def test_a_bug_in_the_process_is_reported(tmp_path: Path) -> None:
+    work = KeptWork(tmp_path / "cache", "web.processes.no_such_module", "stopped")
+    work.start("key", 1, [])
+    requested = work.requested("key")
+    assert requested is not None
+    wait_until(lambda: requested.is_done)
+    work.close()
+    assert requested.problem == "the process ended with exit code 1; try again"

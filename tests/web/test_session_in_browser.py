@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+import dataset.cli
 import recorder.log_cli
+from dataset.samples.samples_format import not_learnt_in
 from recorder import Log, LogWriter
 from recorder.bc_pb2 import VehicleState
 from recorder.log.tags import read_tags
@@ -24,7 +26,7 @@ from tests.helpers.ports import free_ports
 from tests.helpers.udacity import call
 from tests.helpers.waiting import wait_until
 from tests.helpers.workbench import Served, served
-from web.server.static_files import STATIC
+from web.server.templates import STATIC
 
 if TYPE_CHECKING:
     from playwright.sync_api import APIResponse, Browser, Page, Route
@@ -291,3 +293,39 @@ def test_a_lag_that_is_measured_meanwhile_is_shown(browser: Browser, bench: Serv
         assert "lag not measured" in page.inner_text("#about")
         assert call(recorder.log_cli.main, "check", log) == 0
         wait_until(lambda: "0.4 s late" in page.inner_text("#about"))
+
+
+PARTS = [(200, 24.0, 0.0), (10, 0.2, 0.0), (20, 3.0, 1.0), (10, 6.0, -0.4), (10, 12.0, -1.0), (200, 24.0, 0.0)]
+"""Rows at a speed in mph with a steering: a car that hits a wall, manoeuvres, and drives on."""
+
+HATCHED = """(rows) => {
+  const canvas = document.querySelector('#curves canvas');
+  const over = document.querySelector('#curves .u-over').getBoundingClientRect();
+  const left = over.left - canvas.getBoundingClientRect().left;
+  const scale = canvas.width / canvas.getBoundingClientRect().width;
+  const y = Math.round((over.top - canvas.getBoundingClientRect().top + over.height * 0.15) * scale);
+  const [from, to] = rows.map(row => Math.round((left + over.width * row / 449) * scale));
+  const data = canvas.getContext('2d').getImageData(from, y, to - from, 1).data;
+  const colors = Array.from({length: to - from}, (_, at) => data.slice(4 * at, 4 * at + 4).join());
+  return colors.filter((color, at) => at && color !== colors[at - 1]).length > 8;
+}"""
+"""Whether the colour changes often between two rows, above the curves: more often than at lines of the grid."""
+
+
+def test_what_training_leaves_out_is_hatched(browser: Browser, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "sessions" / "a.mcap", {"source": "test"}) as writer:
+        rows = [(mph, steering) for count, mph, steering in PARTS for _ in range(count)]
+        for row, (mph, steering) in enumerate(rows):
+            now_ns = START_NS + row * 100_000_000
+            writer.picture("center", now_ns, row, road_jpeg(row))
+            state = VehicleState(steering=steering, throttle=0.5, brake=0.0, speed_mph=mph)
+            writer.vehicle(now_ns, row, state)
+    index = tmp_path / "index"
+    assert call(dataset.cli.main, "--sessions", tmp_path / "sessions", "--index", index) == 0
+    (line,) = not_learnt_in(index)
+    assert "a (40 frames of crashes, 20 frames of manoeuvres around these)" in line
+    with served(tmp_path) as bench, opened_page(browser, f"{bench.address}/sessions/a") as page:
+        open_session(page)
+        assert page.inner_text("#not-learnt") == "hatched: 60 rows that training leaves out by default"
+        assert page.evaluate(HATCHED, [205, 235])
+        assert not page.evaluate(HATCHED, [300, 330])

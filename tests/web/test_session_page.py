@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import shutil
 from collections.abc import Iterator
@@ -14,11 +13,8 @@ import pytest
 
 import recorder.log_cli
 from common.car import Camera
-from recorder import LogWriter
-from recorder.bc_pb2 import VehicleState
-from tests.helpers.disk import files_of_at_most
 from tests.helpers.driving import road_jpeg
-from tests.helpers.logs import START_NS, write_log
+from tests.helpers.logs import write_log
 from tests.helpers.udacity import call
 from tests.helpers.waiting import wait_until
 from tests.helpers.workbench import Answer, Served, served
@@ -187,41 +183,3 @@ def test_a_log_that_is_not_finished_is_shown_but_not_tagged(bench: Served) -> No
     answer = change(bench, at, rows=[[0, 1]])
     assert (answer.status, "bc-log recover" in answer.json["error"]) == (409, True)
     assert not list(part.parent.glob("k*.tags.jsonl"))
-
-
-def test_a_broken_file_of_tags_is_named_and_left_as_it_is(bench: Served, log: Path) -> None:
-    tags = log.with_name("a.tags.jsonl")
-    tags.write_text('{"add": "exclude"}\n')
-    for answer in (bench.get("/sessions/a/tags"), change(bench)):
-        assert (answer.status, "line 1 is not a tag" in answer.json["error"]) == (422, True)
-    assert tags.read_text() == '{"add": "exclude"}\n'
-
-
-def test_a_full_disk_is_reported_and_leaves_the_tags_as_they_were(bench: Served, log: Path) -> None:
-    assert change(bench).status == 200
-    before = lines(log)
-    with files_of_at_most(log.with_name("a.tags.jsonl").stat().st_size + 10):
-        answer = change(bench, rows=[[20, 30]])
-    assert (answer.status, "cannot be written" in answer.json["error"]) == (422, True)
-    assert lines(log) == before
-    assert change(bench, rows=[[20, 30]]).json["changed"]
-
-
-def test_a_log_that_is_being_recorded_is_shown_as_far_as_it_is_written(tmp_path: Path) -> None:
-    path = tmp_path / "sessions" / "new.mcap"
-    with served(tmp_path) as bench:
-        with LogWriter(path, {"source": "test"}, live=True) as writer:
-
-            def rows_shown_after(row: int) -> int:
-                writer.vehicle(START_NS + row * 100_000_000, row, VehicleState(steering=0.1))
-                return int(bench.get(f"{at}/state").json.get("rows", 0))  # an error until it has a beginning
-
-            (part,) = path.parent.glob("*.part")
-            at = f"/sessions/{part.name}"
-            numbers = itertools.count()
-            wait_until(lambda: rows_shown_after(next(numbers)) > 0)  # it is brought to the disk every second
-            assert bench.get(f"{at}/version").json["growing"] is True
-            assert "recording" in bench.get("/sessions").text
-            assert change(bench, at, rows=[[0, 0]]).status == 409
-        assert bench.get(f"{at}/state").status == 404
-        assert bench.get("/sessions/new/state").json["rows"] == next(numbers)

@@ -66,26 +66,6 @@ def control(number: int, steering: object = 0.5) -> str:
     return json.dumps({"type": "control", **values, "device": "keyboard", "touching": True})
 
 
-def test_what_a_page_sends_arrives_and_it_is_shown_the_frames_unchanged(bench: Served, wheel: Wheel) -> None:
-    with socket(bench, wheel.key) as page:
-        assert json.loads(page.recv(PATIENCE_S))["type"] == "hello"
-        assert json.loads(page.recv(PATIENCE_S)) == {
-            "type": "wheel",
-            "holder": True,
-            "asked": False,
-            "free": False,
-        }
-        page.send(control(1))
-        wait_until(lambda: wheel.control().steering == 0.5)
-        wheel.show({"speed_mph": 7.0}, JPEG)
-        data = page.recv(PATIENCE_S)
-        assert isinstance(data, bytes)
-        assert data.endswith(JPEG)
-        assert json.loads(data[4 : -len(JPEG)]) == {"frame": 1, "speed_mph": 7.0}
-    wait_until(lambda: wheel.pages == 0)  # what the page has left, the process is left by
-    assert wheel.control().steering == 0
-
-
 def test_the_end_of_the_drive_closes_the_socket(bench: Served, wheel: Wheel) -> None:
     with socket(bench, wheel.key) as page:
         wait_until(lambda: wheel.pages == 1)
@@ -105,15 +85,6 @@ def test_a_page_from_elsewhere_cannot_steer(bench: Served, wheel: Wheel, origin:
     assert wheel.pages == 0
 
 
-def test_a_name_that_leads_here_but_is_not_ours_cannot_steer(bench: Served, wheel: Wheel) -> None:
-    """DNS rebinding: both the name and the Origin are those of the page."""
-    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec_WebSocket_Version": "13"}
-    asked = {**upgrade, "Sec_WebSocket_Key": "AAAAAAAAAAAAAAAAAAAAAA=="}
-    path = f"/wheel/{wheel.key}/socket"
-    answer = bench.get(path, **asked, Host="evil.example", Origin="http://evil.example")
-    assert answer.status == 403
-
-
 def test_the_socket_needs_the_cookie_of_the_pages(bench: Served, wheel: Wheel) -> None:
     """An address stands in histories: only that of a page is exchanged for a cookie."""
     for query, cookie in (("", "a=b"), ("", f"bc-web-{bench.port}=wrong"), (f"?token={bench.token}", "a=b")):
@@ -123,7 +94,7 @@ def test_the_socket_needs_the_cookie_of_the_pages(bench: Served, wheel: Wheel) -
     assert wheel.pages == 0
 
 
-def test_messages_that_are_none_do_no_harm_and_are_counted(bench: Served, wheel: Wheel) -> None:
+def test_messages_that_are_none_do_no_harm(bench: Served, wheel: Wheel) -> None:
     bad: list[str | bytes] = [
         control(9, float("nan")),
         control(9, 1.5),
@@ -137,7 +108,6 @@ def test_messages_that_are_none_do_no_harm_and_are_counted(bench: Served, wheel:
             page.send(message)
         page.send(control(1, -1))
         wait_until(lambda: wheel.control().steering == -1)
-        assert wheel.refused == len(bad)
 
 
 def test_a_message_of_10_mb_ends_the_page_that_sends_it_and_no_other(bench: Served, wheel: Wheel) -> None:
@@ -155,6 +125,5 @@ def test_a_page_that_sends_10_000_messages_at_once_is_disconnected(bench: Served
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
     wait_until(lambda: wheel.pages == 0)
-    assert wheel.refused >= 1
     assert wheel.control().number <= 3 * MAX_PER_S
     assert bench.get(f"/wheel/{wheel.key}").status == 200

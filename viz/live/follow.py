@@ -23,19 +23,15 @@ from viz.viewer_connection import POLL_S, ViewerFeed, ViewerGoneError
 
 BEHIND_S: Final = 2.0
 """If sending was delayed by more than this time, pictures older than this time are skipped."""
-HISTORY_S: Final = 60.0
-"""When the viewer opens, pictures older than this time are skipped."""
+HISTORY_S: Final = 60.0  # when the viewer opens, pictures older than this time are skipped
 VIEWER_MEMORY: Final = "1GB"  # above it, the viewer drops the oldest data
-WHOLE_S: Final = 2.0
-"""Time between two updates of the histogram and the path, which show the whole log."""
+WHOLE_S: Final = 2.0  # time between two updates of the histogram and the path, which show the whole log
 
 
 @dataclass(frozen=True)
 class FollowResult:
-    notice: str
-    """A notice that the recording was killed; empty if it was finished."""
-    skipped: Skipped
-    """Messages and pictures that were not shown."""
+    notice: str  # a notice that the recording was killed; empty if it was finished
+    skipped: Skipped  # messages and pictures that were not shown
 
 
 def save_growing(

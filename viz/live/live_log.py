@@ -101,8 +101,7 @@ class LiveMessageSender:
 
 
 LATE: Final = "pictures not shown, to keep up (the log has them)"
-QUIET_S: Final = 2.0
-"""A log without a writer that has not grown for this time counts as killed."""
+QUIET_S: Final = 2.0  # a log without a writer that has not grown for this time counts as killed
 
 
 def find_log(path: Path) -> Path:

@@ -42,8 +42,7 @@ DRIVEN_SPEED: Final = f"{SPEED.path}/driven"
 
 Color = tuple[int, int, int]
 Part = rrb.View | rrb.Container
-Shared = tuple[Part, float]
-"""A part of the layout and its share of the height."""
+Shared = tuple[Part, float]  # a part of the layout and its share of the height
 
 COLORS: Final[Mapping[ColorName, Color]] = {
     "blue": (120, 160, 255),
@@ -65,8 +64,7 @@ DRIVERS: Final[Mapping[int, tuple[str, Color]]] = {
 }
 """Names and colours of the drivers."""
 
-LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)
-"""Colours of logs that are compared."""
+LOG_COLORS: Final = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY)  # colours of logs that are compared
 
 DRIVER_VIEW: Final = "who drives"
 ERROR: Final = "error in degrees: predicted - recorded"
@@ -204,7 +202,6 @@ def _has_predictions(topics: Collection[str]) -> bool:
 
 
 def _upright(parts: Sequence[Shared]) -> Part | None:
-    """The parts, one above the other."""
     if not parts:
         return None
     return rrb.Vertical(*(part for part, _ in parts), row_shares=[share for _, share in parts])

@@ -40,8 +40,7 @@ MAX_LOGS: Final = 6
 _LEFT_OUT: Final = "CoordinateFrame:frame"  # it names a picture's entity without the prefix of its log
 Path2D = NDArray[np.float64]
 
-FAR_M: Final = 10.0
-"""A path with a larger median distance is on another road."""
+FAR_M: Final = 10.0  # a path with a larger median distance is on another road
 
 _AHEAD_M: Final = 40.0  # range of the search for the next place: a road may come near itself farther ahead
 
@@ -55,7 +54,6 @@ class _ComparedLog:
 
 
 def check_count(paths: Sequence[Path]) -> None:
-    """Raise UserError for too many logs."""
     if len(paths) > MAX_LOGS:
         raise UserError(f"{len(paths)} logs: at most {MAX_LOGS} can be shown next to each other")
 
@@ -95,17 +93,12 @@ def prepare_comparison(
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each log: its file's name; for equal names also its folder's, or a number."""
-    names: list[str] = []
+    """A name for each log: its file's name; for equal names its path."""
     stems = [path.name.removesuffix(".mcap") for path in paths]
-    for path, stem in zip(paths, stems, strict=True):
-        name = stem if stems.count(stem) == 1 else f"{path.absolute().parent.name}/{stem}"
-        numbers = iter(range(2, len(paths) + 2))
-        unique = name
-        while unique in names:
-            unique = f"{name} ({next(numbers)})"
-        names.append(unique)
-    return names
+    return [
+        stem if stems.count(stem) == 1 else str(path).removesuffix(".mcap")
+        for path, stem in zip(paths, stems, strict=True)
+    ]
 
 
 def _by_place(paths: Sequence[Path], drawn: Sequence[DrawnMessages]) -> list[Clock]:

@@ -34,8 +34,7 @@ from viz.playback.blueprint import (
 from viz.timelines import Clock, Times
 
 Values = NDArray[np.float64]
-Numbers = Mapping[str, Values]
-"""Values (N,) of N messages, by the name of the field."""
+Numbers = Mapping[str, Values]  # values (N,) of N messages, by the name of the field
 
 _FRAME: Final = (320, 160)  # width and height of the simulator's pictures
 _ALONG: Final = np.linspace(0, 1, 9)  # positions along an arc
@@ -292,7 +291,6 @@ def frame_size(picture: bytes) -> tuple[int, int] | None:
 
 
 def histogram(counts: NDArray[np.int64]) -> rr.BarChart:
-    """Frames by steering, in equal bins over -1..1."""
     bins = len(counts)
     middles = (np.arange(bins) + 0.5) * 2 / bins - 1
     widths = np.full(bins, 0.9 * 2 / bins, np.float32)

@@ -57,7 +57,6 @@ def read_chunks(
 
 
 def protobuf_topics(log: Log) -> dict[str, str]:
-    """The name of the schema of each topic with messages in Protobuf."""
     schemas = log.schemas
     return {
         channel.topic: schemas[channel.topic]

@@ -36,7 +36,6 @@ def write_predictions(predictions: LogPredictions, path: Path, *, overwrite: boo
 
 
 def prediction_topics(log: Log) -> list[str]:
-    """The topics with predictions in an open log, one for each run."""
     kind = Prediction.DESCRIPTOR.full_name
     return [topic for topic, schema in sorted(log.schemas.items())
             if topic.startswith(PREDICTIONS) and schema == kind]  # fmt: skip

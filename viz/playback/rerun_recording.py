@@ -13,8 +13,6 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf.message import DecodeError
 from rerun.chunk import Chunk
 
 from common import Skipped, UserError
@@ -61,7 +59,7 @@ class DrawnMessages:
         """Reads all numbers. Raises LogError if the log is damaged."""
         log.messages(EVENTS)  # first the index, which shows its own progress bar
         self._log = log
-        self.numbers = {topic: _columns(log, topic) for topic in _of_registry(log) if topic not in (POSE, EVENTS)}
+        self.numbers = {topic: _columns(log, topic) for topic in _of_registry(log) if topic != EVENTS}
         """Log times (N,) in ns and values (N,) of each field, by topic."""
 
     @cached_property
@@ -76,16 +74,10 @@ class DrawnMessages:
                 return frame_size(log.read(*map(int, place)))
         return None
 
-    @cached_property
+    @property
     def poses(self) -> tuple[Times, Numbers]:
         """As an entry of `numbers`; empty without poses."""
-        if POSE not in _of_registry(self._log):
-            return np.zeros(0, np.int64), numbers_of(POSE, [])
-        try:
-            return _columns(self._log, POSE)
-        except LogError:  # the path gets a gap, which `bc-log check` reports
-            time_ns, poses = _split(_readable_poses(self._log))
-            return time_ns, numbers_of(POSE, poses)
+        return self.numbers.get(POSE, (np.zeros(0, np.int64), numbers_of(POSE, [])))
 
     @cached_property
     def events(self) -> tuple[Times, list[Any]]:
@@ -197,9 +189,6 @@ def draw(drawn: DrawnMessages, drawing: Drawing) -> None:
     drawing.picture_size = drawn.picture_size or drawing.picture_size
     for topic, (time_ns, numbers) in drawn.numbers.items():
         drawing.send_arcs(topic, time_ns, numbers)
-    pose_ns, poses = drawn.poses
-    if len(pose_ns):
-        drawing.send_numbers(POSE, pose_ns, poses)
     drawing.send(EVENTS, *drawn.events)
     drawing.finish()
 
@@ -263,9 +252,3 @@ def _columns(log: Log, topic: str) -> tuple[Times, Numbers]:
 def _split(messages: Iterable[tuple[Message, Any]]) -> tuple[Times, list[Any]]:
     pairs = list(messages)
     return np.array([message.log_time_ns for message, _ in pairs], np.int64), [content for _, content in pairs]
-
-
-def _readable_poses(log: Log) -> Iterator[tuple[Message, PoseInFrame]]:
-    for message, content in log.contents(POSE):
-        with contextlib.suppress(DecodeError):
-            yield message, PoseInFrame.FromString(content)

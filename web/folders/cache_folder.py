@@ -21,6 +21,10 @@ from web.errors import report_bug
 Result = TypeVar("Result")
 
 
+PATIENCE_S: Final = 0.5
+"""Time for files that are being read: enough for a few. Pages complete a longer list later."""
+
+
 class _Task(NamedTuple, Generic[Result]):
     version: str
     future: Future[Result | UserError]
@@ -39,7 +43,7 @@ class Background(Generic[Result]):
         """The number of results made so far. When it grows, pages load their lists again."""
 
     def results(
-        self, versions: Iterable[tuple[Path, str]], patience_s: float | None
+        self, versions: Iterable[tuple[Path, str]], patience_s: float | None = PATIENCE_S
     ) -> dict[Path, Result | UserError]:
         """The results that are finished within `patience_s`; None waits for all. Results of other files are
         dropped."""
@@ -78,7 +82,6 @@ class Background(Generic[Result]):
 Kept = TypeVar("Kept")
 
 _MAX_BYTES: Final = 512 << 20
-_ROOM_BYTES: Final = _MAX_BYTES // 5  # free after tidying, so that it is seldom needed
 
 
 def default_cache_folder() -> Path:
@@ -93,7 +96,6 @@ class CacheFolder:
         with contextlib.suppress(OSError):  # read-only
             folder.mkdir(parents=True, exist_ok=True)
             folder.chmod(0o700)  # pictures of logs, and what jobs printed, are not for other users
-        self._since_tidied = 0  # bytes
 
     def get(self, key: str, make: Callable[[], bytes]) -> bytes:
         """The data of a key. If there are none, call `make` and keep what it returns."""
@@ -112,15 +114,13 @@ class CacheFolder:
         return value
 
     def find(self, key: str) -> bytes | None:
-        """The data of a key, if any."""
         try:
             return self._path(key).read_bytes() or None
         except OSError:
             return None
 
     def tidy(self) -> None:
-        """Remove the oldest files, so that a fifth of half a gigabyte is free."""
-        self._since_tidied = 0
+        """Remove the oldest files beyond half a gigabyte."""
         files = []
         with contextlib.suppress(OSError):
             for path in self.folder.glob("*/*"):
@@ -130,14 +130,11 @@ class CacheFolder:
         total = 0
         for _, size, path in files:
             total += size
-            if total > _MAX_BYTES - _ROOM_BYTES:
+            if total > _MAX_BYTES:
                 with contextlib.suppress(OSError):
                     path.unlink()
 
     def keep(self, key: str, data: bytes) -> None:
-        if self._since_tidied + len(data) > _ROOM_BYTES:
-            self.tidy()
-        self._since_tidied += len(data)
         path = self._path(key)
         part = path.with_name(f"{path.name}.{secrets.token_hex(3)}")
         try:

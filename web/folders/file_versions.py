@@ -4,37 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Final, Generic, TypeVar
+from typing import Final
 
 from common.files import PART_SUFFIX
 
 _GROWING_STEP: Final = 22  # bits: 4 MB, because an unfinished log is read in full for each version
-
-Value = TypeVar("Value")
-
-
-class Newest(Generic[Value]):
-    """Values made from files: one for each of the files used last, of the file's newest version."""
-
-    def __init__(self, max_kept: int) -> None:
-        self._max_kept = max_kept
-        self._lock = threading.Lock()
-        self._values: dict[Path, tuple[str, Value]] = {}
-
-    def get(self, place: Path, version: str, make: Callable[[], Value]) -> Value:
-        """The kept value of this version, or what `make` returns."""
-        with self._lock:
-            kept = self._values.get(place)
-        value = kept[1] if kept is not None and kept[0] == version else make()
-        with self._lock:
-            self._values.pop(place, None)
-            self._values[place] = version, value
-            while len(self._values) > self._max_kept:
-                self._values.pop(next(iter(self._values)))
-        return value
 
 
 def version_of(*paths: Path) -> str:

@@ -90,7 +90,6 @@ class ProjectFolders:
         return log
 
     def version_of_folder(self, place: Place) -> str:
-        """The version of a folder's logs and tags."""
         return version_of_folder(self._folder(place))
 
     def run_folders(self) -> dict[str, Path]:
@@ -98,7 +97,6 @@ class ProjectFolders:
         return {key_of(path.parent): path.parent for path in sorted(self.runs.glob(f"*/{CONFIG}"))}
 
     def run(self, key: str) -> Path:
-        """The run of a key. Raises WebError if it does not exist (any more)."""
         path = self.run_folders().get(key)
         return or_404(path, f"{self.runs}: no run {key!r} in it; it may have been deleted, renamed or moved")
 
@@ -109,12 +107,10 @@ def version_of_log(log: Path) -> str:
 
 
 def shown_name(log: Path) -> str:
-    """The name of a log as pages show it."""
     return printable(log.name.removesuffix(_LOG))
 
 
 def is_recording(log: Path) -> bool:
-    """Whether a log is being recorded now."""
     return log.name.endswith(PART_SUFFIX) and is_being_written(log)
 
 

@@ -7,7 +7,8 @@ before a file is made.
 
 from __future__ import annotations
 
-import contextlib
+import itertools
+import os
 import re
 import shutil
 import zipfile
@@ -28,7 +29,6 @@ MAX_UPLOAD_BYTES: Final = 64 << 30  # sent, and again unpacked
 MAX_FILES: Final = 300_000
 _MAX_MANIFEST_BYTES: Final = 64 << 20
 _MAX_DIRECTORY_BYTES: Final = 64 << 20  # of a zip, which is read into memory
-_MAX_DEPTH: Final = 16
 _MAX_NAME_BYTES: Final = 240
 _SPARE_BYTES: Final = 64 << 20  # of the disk
 _BLOCK_BYTES: Final = 1 << 20
@@ -145,21 +145,14 @@ class Upload:
             self._stream = None
 
     def _named(self) -> Path:
-        for number in range(1, 1000):
-            folder = self._parent / (self._name if number == 1 else f"{self._name}-{number}")
-            if not folder.exists() and not folder.is_symlink():
-                with contextlib.suppress(FileExistsError):
-                    self._part.rename(folder)
-                    return folder
-        raise WebError(f"{self._parent}: too many folders are called {self._name}", 422)
+        names = itertools.chain([self._name], (f"{self._name}-{number}" for number in itertools.count(2)))
+        folders = (self._parent / name for name in names)
+        return self._part.rename(next(folder for folder in folders if not os.path.lexists(folder)))
 
 
 def uploads_in(folder: Path) -> dict[str, Path]:
     """The uploads in a folder by their names. Links, and folders whose name cannot be shown, are left out."""
-    try:
-        folders = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.is_symlink()]
-    except OSError:
-        return {}
+    folders = [path for path in sorted(folder.glob("*")) if path.is_dir() and not path.is_symlink()]
     return {path.name: path for path in folders if path.suffix != PART_SUFFIX and path.name.isprintable()}
 
 
@@ -217,8 +210,6 @@ def checked_name(name: str) -> Sequence[str]:
     """The parts of a file's path in an upload; none for files that operating systems add. Raises WebError for a
     path that leads outside, or a name that is not valid on every system."""
     parts = name.split("/")
-    if len(parts) > _MAX_DEPTH:
-        raise WebError(f"{printable(name)[:200]}: more than {_MAX_DEPTH} folders deep", 422)
     for part in parts:
         is_plain = part not in ("", ".", "..") and part.isprintable() and not set(part) & set('\\:*?"<>|')
         if not is_plain or len(part.encode()) > _MAX_NAME_BYTES:

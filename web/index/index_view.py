@@ -60,10 +60,7 @@ class IndexTrials:
         return real_path(or_404(self._trials().get(key), reason))
 
     def _trials(self) -> dict[str, Path]:
-        try:
-            return {path.name: path for path in self._folder.iterdir() if path.is_dir()}
-        except OSError:
-            return {}
+        return {path.name: path for path in self._folder.glob("*")}
 
 
 _WIDTH: Final = 300

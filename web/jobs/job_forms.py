@@ -22,8 +22,6 @@ from recorder.sources.settings import TimeUnit
 from web.errors import WebError, or_404
 from web.folders.project_folders import Place, ProjectFolders, key_of, shown_name
 
-MAX_CHARACTERS: Final = 1000  # of a value
-
 Suggestions = Literal["", "sessions", "runs", "pictures", "topics"]
 
 
@@ -42,11 +40,10 @@ def refuse_taken(name: str, place: Place, folders: ProjectFolders) -> None:
 
 
 def in_one_field(words: Iterable[str]) -> str:
-    """The value of a field with several words, in double quotes where they have blanks; "" if a field cannot hold
-    them."""
+    """The value of a field with several words, in double quotes where they have blanks; "" if none can hold it."""
     words = list(words)
     value = " ".join(f'"{word}"' if word.split() != [word] else word for word in words)
-    return value if _words_in(value) == words and len(value) <= MAX_CHARACTERS else ""
+    return value if _words_in(value) == words else ""
 
 
 def suggested_sessions(folders: ProjectFolders) -> list[str]:
@@ -112,8 +109,8 @@ class JobForm:
                 if field.is_needed:
                     raise WebError(f"{self.title}: {field.label} is missing", 422)
                 continue
-            if len(value) > MAX_CHARACTERS or not value.isprintable():
-                raise WebError(f"{field.label}: at most {MAX_CHARACTERS:,} characters, on one line", 422)
+            if not value.isprintable():
+                raise WebError(f"{field.label}: expected one line of text", 422)
             words += field.words(value)
         if self.makes_session:
             refuse_taken(values["name"].strip(), "sessions", folders)
@@ -123,7 +120,6 @@ class JobForm:
 
     @property
     def makes_session(self) -> bool:
-        """Whether it makes a session of the name in its form."""
         return self.command[0] in ("bc-record", "bc-import")
 
     def named(self, values: Mapping[str, str]) -> dict[str, str]:
@@ -134,7 +130,6 @@ class JobForm:
         return values | {"name": values.get("name") or new_run_name()} if self.names_run else values
 
     def fills(self, folders: ProjectFolders) -> bool:
-        """Whether it fills this project."""
         return self.fills_project and folders.are_new and folders.parent is not None
 
     def page_of(self, values: Mapping[str, str], folders: ProjectFolders) -> str:
@@ -334,5 +329,4 @@ FORMS: Final[Sequence[JobForm]] = (
 
 
 def form_of(name: str) -> JobForm:
-    """Raises WebError if there is no such form."""
     return or_404(next((form for form in FORMS if form.name == name), None), f"{name!r}: no job has this name")

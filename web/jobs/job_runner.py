@@ -1,7 +1,6 @@
 """The process of a job: it runs a command, and keeps the output and the exit code. It outlives bc-web.
 
-It holds a lock while the command runs, so that no other process with the same number is taken for it. The command
-inherits the lock: if this process is killed, the job still counts as running and can be stopped.
+It holds a lock while the command runs, so that no other process with the same number is taken for it.
 """
 
 from __future__ import annotations
@@ -37,23 +36,16 @@ def main() -> None:
         with os.fdopen(1, "wb") as parent:  # the pipe to the process that has started this one
             parent.write(READY)
         environment = {**os.environ, "COLUMNS": "160", "NO_COLOR": "1", "PYTHONUNBUFFERED": "1"}
-        inherited = () if sys.platform == "win32" else (locked.fileno(),)
         code = 0
         for name, *words in filter(None, (about["first"], about["words"])):
             start = _START.format(root=root, name=name, function=name.replace("-", "_"))
             code = subprocess.run(
-                [
-                    sys.executable,
-                    "-P",
-                    "-c",
-                    start,
-                    *words,
-                ],  # -P: a `model.py` of the current folder is not imported
+                # -P: a `model.py` of the current folder is not imported
+                [sys.executable, "-P", "-c", start, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
                 env=environment,
-                pass_fds=inherited,
                 check=False,
             ).returncode
             if code not in (0, 3):  # 3: something was skipped

@@ -52,8 +52,6 @@ _STATES: Final = {
 
 
 class About(msgspec.Struct):
-    """The description of a job, written when it starts."""
-
     words: list[str]  # of the command line, "bc-..." first
     began: str  # UTC, ISO 8601
     made: str  # the page of its output; "" for none
@@ -134,7 +132,6 @@ class Job:
         return max(0.0, end_s - began_s)
 
     def output(self) -> str:
-        """The last part of its output."""
         try:
             with (self.folder / OUTPUT).open("rb") as stream:
                 size = stream.seek(0, os.SEEK_END)
@@ -162,7 +159,6 @@ class Jobs:
         return sorted(self._read(), key=lambda job: job.key, reverse=True)
 
     def get(self, key: str) -> Job:
-        """The job of a key. Raises WebError if it does not exist (any more)."""
         job = next((job for job in self._read() if job.key == key), None)
         return or_404(job, f"no job {key!r}: only the newest {_KEPT} are kept, in the cache folder")
 
@@ -248,12 +244,10 @@ class Jobs:
                 os.killpg(number, signal.SIGINT)
 
     def _read(self) -> Iterator[Job]:
-        with contextlib.suppress(OSError):
-            for folder in self.folder.iterdir():
-                with contextlib.suppress(OSError, ValueError):
-                    if about := json_as((folder / ABOUT).read_bytes(), About):
-                        datetime.fromisoformat(about.began)
-                        yield _job(folder, about)
+        for folder in self.folder.glob("*"):
+            with contextlib.suppress(OSError):  # deleted meanwhile
+                if about := json_as((folder / ABOUT).read_bytes(), About):
+                    yield _job(folder, about)
 
 
 def _is_ready(stream: IO[bytes]) -> bool:

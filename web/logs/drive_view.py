@@ -23,7 +23,7 @@ from recorder import Log, topics
 from recorder.log.meant_gaps import HUMAN_DRIVES
 from recorder.log.session_car import max_steering_deg_of
 from recorder.teleop.frame_state import road_named
-from web.folders.cache_folder import Background, CacheFolder
+from web.folders.cache_folder import PATIENCE_S, Background, CacheFolder
 from web.folders.project_folders import version_of_log
 from web.logs.open_logs import OpenLog
 from web.processes.predictions import Values, at_rows
@@ -110,7 +110,7 @@ class DriveViews:
     def done(self) -> int:
         return self._views.done
 
-    def views(self, logs: Iterable[Path], patience_s: float) -> dict[Path, DriveView | UserError]:
+    def views(self, logs: Iterable[Path], patience_s: float = PATIENCE_S) -> dict[Path, DriveView | UserError]:
         """The views of the logs that are read within `patience_s`; a UserError for an unreadable log."""
         return self._views.results([(path, version_of_log(path)) for path in logs], patience_s)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from common.car import CAMERAS
 from dataset.steering_bins import bin_of
 from recorder import Log, LogError, Pictures
-from recorder.pictures.picture_size import decode_picture, width_and_height
+from recorder.pictures.picture_size import decode_picture
 from recorder.rows.row_quality import Values
 from recorder.topics import camera_topic
 
@@ -37,7 +37,6 @@ def steering_sketch(steering: Values, bins: int) -> bytes:
 
 
 def svg(width: int, height: int, parts: Iterable[str], attributes: str = "") -> bytes:
-    """A picture of these elements."""
     start = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}"{attributes}>'
     return f"{start}{''.join(parts)}</svg>".encode()
 
@@ -110,10 +109,7 @@ def _thumbnail(log: Log, pictures: Pictures | None, share: float) -> NDArray[np.
         data = log.read(int(pictures.offset[at]), int(pictures.length[at]), int(pictures.chunk[at]))
     except LogError:
         return None
-    size = width_and_height(data) or (0, 0)
-    is_large = min(size[0] // WIDTH_PX, size[1] // HEIGHT_PX) >= 2
-    flag = cv2.IMREAD_REDUCED_COLOR_2 if is_large else cv2.IMREAD_COLOR  # JPEGs are decoded at half their size
-    decoded = decode_picture(data, flag)
+    decoded = decode_picture(data, cv2.IMREAD_COLOR)
     if decoded is None:
         return None
     height, width = decoded.shape[:2]

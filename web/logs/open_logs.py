@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
-from collections import OrderedDict
-from collections.abc import Iterator
+import weakref
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -17,20 +15,19 @@ from recorder.rows.row_quality import States
 from recorder.topics import camera_topic
 from web.folders.file_versions import version_of
 
-MAX_OPEN: Final = 8
-MAX_MESSAGES: Final = 500_000
-"""In all open logs together, if there are several. A message takes about 120 bytes of memory."""
+MAX_OPEN: Final = 4
+"""A log of an hour takes about 50 MB of memory."""
 
 
 class OpenLog:
-    """An open log with the data that several requests need."""
+    """An open log with the data that several requests need. Its log is closed when nothing refers to it
+    any more: keep it in a variable while you read."""
 
     def __init__(self, path: Path, version: str) -> None:
         self.log = Log(path)
         self.version = version
         """The version of the file, by `version_of`."""
-        self.messages = sum(self.log.counts.values())
-        self.users = 0
+        weakref.finalize(self, self.log.close)
 
     @cached_property
     def states(self) -> States:
@@ -39,72 +36,36 @@ class OpenLog:
 
     @cached_property
     def cameras(self) -> list[Camera]:
-        """The cameras that have pictures."""
         return [camera for camera in CAMERAS if len(self.log.pictures(camera_topic(camera)).sequence)]
 
 
 class OpenLogs:
-    """The logs used last. A dropped log is closed when no request uses it any more: otherwise another file might
-    get its descriptor's number during a read."""
-
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: OrderedDict[Path, OpenLog] = OrderedDict()
+        self._kept: dict[Path, OpenLog] = {}
         self._opening: dict[Path, threading.Lock] = {}
 
-    @contextlib.contextmanager
-    def open(self, path: Path) -> Iterator[OpenLog]:
+    def open(self, path: Path) -> OpenLog:
         """The log at a path. Raises LogError if it cannot be read."""
         version = version_of(path)
         with self._lock:
             opening = self._opening.setdefault(path, threading.Lock())
         with opening:  # simultaneous requests get the same log
-            opened = self._used(path, version) or self._opened(path, version)
-        try:
-            yield opened
-        finally:
-            with self._lock:
-                opened.users -= 1
-                if not opened.users and self._kept.get(path) is not opened:
-                    opened.log.close()
-
-    def _used(self, path: Path, version: str) -> OpenLog | None:
-        """The open log, with one more user; None if it is not open."""
-        with self._lock:
             opened = self._kept.get(path)
-            if opened is not None and opened.version != version:
-                self._drop(path)
-                opened = None
-            if opened is not None:
-                self._kept.move_to_end(path)
-                opened.users += 1
+            if opened is None or opened.version != version:
+                opened = OpenLog(path, version)
+            with self._lock:
+                self._kept.pop(path, None)
+                self._kept[path] = opened
+                while len(self._kept) > MAX_OPEN:
+                    self._kept.pop(next(iter(self._kept)))
         return opened
-
-    def _opened(self, path: Path, version: str) -> OpenLog:
-        opened = OpenLog(path, version)
-        with self._lock:
-            self._kept[path] = opened
-            opened.users += 1
-            while len(self._kept) > MAX_OPEN or (len(self._kept) > 1 and self._messages() > MAX_MESSAGES):
-                self._drop(next(iter(self._kept)))
-        return opened
-
-    def _messages(self) -> int:
-        return sum(opened.messages for opened in self._kept.values())
 
     def drop_changed(self) -> None:
-        """Close the logs whose files were deleted or replaced: an open file takes space on the disk."""
+        """Drop the logs whose files were deleted or replaced: an open file takes space on the disk."""
         with self._lock:
-            versions = {path: version_of(path) for path in self._kept}
-            for path in [path for path, kept in self._kept.items() if kept.version != versions[path]]:
-                self._drop(path)
+            self._kept = {path: kept for path, kept in self._kept.items() if kept.version == version_of(path)}
 
     def close(self) -> None:
         with self._lock:
-            for path in list(self._kept):
-                self._drop(path)
-
-    def _drop(self, path: Path) -> None:
-        dropped = self._kept.pop(path)
-        if not dropped.users:
-            dropped.log.close()
+            self._kept.clear()

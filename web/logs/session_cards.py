@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Final
 
 import msgspec
 import pyarrow.compute as pc
@@ -21,13 +20,12 @@ from common.files import session_name
 from common.untrusted import real_path
 from dataset.errors import DatasetError
 from dataset.frames.frames_file import read_frames
-from dataset.index.build_state import FRAMES_FOLDER, BuildState, Sources, Stat, read_state, sources_of
-from dataset.parquet_file import read_metadata
+from dataset.index.build_state import FRAMES_FOLDER, BuildState, read_state, sources_of
 from recorder import Log
 from recorder.log.tags import Tag, TaggedRows, tags_by_content, tags_path
 from recorder.upkeep.log_info import LogInfo, describe
-from web.folders.cache_folder import Background, CacheFolder
-from web.folders.file_versions import Newest, version_of
+from web.folders.cache_folder import PATIENCE_S, Background, CacheFolder
+from web.folders.file_versions import version_of
 from web.folders.notes import Note, read_note
 from web.folders.project_folders import (
     PLACES,
@@ -39,16 +37,9 @@ from web.folders.project_folders import (
     version_of_log,
 )
 
-_TAGS_KEPT: Final = 10_000  # of so many logs, in memory
-
-TagRows = tuple[str, int, int]
-"""A tag as an index keeps it: its name, its first and its last row."""
-
 
 @dataclass(frozen=True)
 class FileTags:
-    """The contents of a log's file of tags."""
-
     version: str  # of the file
     tags: list[Tag]  # of this content of the log, in the order of their rows
     stale: int  # tags of an earlier log with this name
@@ -61,28 +52,20 @@ class Glance(msgspec.Struct, frozen=True):
     fingerprint: str
 
 
-class Share(msgspec.Struct, frozen=True):
-    """The part of a session's frames file that the cache keeps."""
-
-    frames: dict[str, int]  # by split
-    tags: list[TagRows] | None  # when it was indexed; None if the file lacks them
+Share = dict[str, int]
+"""The frames of a session in the index, by split."""
 
 
 class IndexState(StrEnum):
-    """The state of a session in the index, as pages show it."""
-
     INDEXED = "in the index"
     MISSING = "not in the index"
     CHANGED = "changed since it was indexed"
-    UNREAD = "being read"
     LEFT_OUT = "left out"
     PASSED_OVER = "left out by choice"
 
 
 @dataclass(frozen=True)
 class InIndex:
-    """A session's state in the index."""
-
     state: IndexState
     why: str = ""
     frames: dict[str, int] = field(default_factory=dict)  # by split
@@ -146,15 +129,14 @@ class SessionCards:
         self._folders = folders
         self._cache = cache
         self._glances = {place: Background(pool, self._glance) for place in PLACES}
-        self._shares = {place: Background(pool, self._share) for place in PLACES}
-        self._tags = Newest[FileTags](_TAGS_KEPT)
+        self._shares = {place: Background(pool, _read_share) for place in PLACES}
 
     @property
     def done(self) -> int:
         glances, shares = self._glances.values(), self._shares.values()
         return sum(made.done for made in glances) + sum(made.done for made in shares)
 
-    def cards(self, place: Place, patience_s: float | None) -> list[SessionCard]:
+    def cards(self, place: Place, patience_s: float | None = PATIENCE_S) -> list[SessionCard]:
         """The cards of all logs in a folder, by name. Those not read within `patience_s` have no `info` yet."""
         logs = self._read(place, patience_s)
         index = self._folders.index
@@ -167,7 +149,7 @@ class SessionCards:
             for path, version, glance in logs
         ]
 
-    def fingerprints(self, place: Place, patience_s: float) -> dict[str, str]:
+    def fingerprints(self, place: Place, patience_s: float = PATIENCE_S) -> dict[str, str]:
         """The fingerprint of each log in a folder, by session; "" if it is not read within `patience_s`."""
         return {
             session_name(path): glance.fingerprint if isinstance(glance, Glance) else ""
@@ -181,26 +163,18 @@ class SessionCards:
         return [(path, version, glances.get(path)) for path, version in versions]
 
     def info(self, path: Path) -> LogInfo:
-        """The description of a log. Raises LogError."""
         return describe(path, with_tags=False)
 
     def tags(self, path: Path, fingerprint: str) -> FileTags:
         """The tags of this content of a log. Raises LogError for a damaged file."""
-        version = version_of(tags_path(path))
-
-        def parse() -> FileTags:
-            by_content = tags_by_content(path)
-            tags = sorted(by_content.pop(fingerprint, ()))
-            return FileTags(version, tags, sum(map(len, by_content.values())))
-
-        return self._tags.get(path, f"{version} {fingerprint}", parse)
+        return _file_tags(path, fingerprint, version_of(tags_path(path)))
 
     def _card(self, path: Path, version: str, glance: Glance | UserError | None, index: InIndex) -> SessionCard:
         problem, tags_problem, tags = "", "", list[Tag]()
         is_growing = is_recording(path)
         if isinstance(glance, UserError):
             # the first rows of a recording may not be on the disk yet
-            problem = "" if is_growing and _is_empty(path) else printable(str(glance))
+            problem = "" if is_growing else printable(str(glance))
             glance = None
         if glance is not None:
             try:
@@ -234,30 +208,19 @@ class SessionCards:
             return InIndex(IndexState.MISSING, "the index has another log of that name")
         sources = sources_of(session, path, self._folders.index)
         if built.sources != sources:
-            are_tags = _without_tags(built.sources) == _without_tags(sources)
-            if are_tags and share is None:
-                return InIndex(IndexState.UNREAD)  # the tags in the index are still being read
-            if not (are_tags and self._has_tags_of(share, path, built.fingerprint)):
-                return InIndex(IndexState.CHANGED, "`bc-index` brings it up to date")
+            return InIndex(IndexState.CHANGED, "`bc-index` brings it up to date")
         if not built.fingerprint:
             return InIndex(IndexState.LEFT_OUT, printable(built.notice))
         if isinstance(share, UserError):
             return InIndex(IndexState.INDEXED, printable(str(share)))
-        return InIndex(IndexState.INDEXED, "", share.frames if share else {})
+        return InIndex(IndexState.INDEXED, "", share or {})
 
-    def _has_tags_of(self, share: Share | UserError | None, path: Path, fingerprint: str) -> bool:
-        """Whether the tags of a log are the same as in the index, even if their file has changed."""
-        if not isinstance(share, Share):
-            return False
-        try:
-            tags = self.tags(path, fingerprint).tags
-        except UserError:
-            return False
-        return share.tags == [(tag.name, tag.first_row, tag.last_row) for tag in tags]
 
-    def _share(self, path: Path, version: str) -> Share:
-        key = f"share 1 {real_path(path)} {version}"
-        return self._cache.struct(key, Share, lambda: _read_share(path))
+@lru_cache(maxsize=10_000)
+def _file_tags(path: Path, fingerprint: str, version: str) -> FileTags:
+    by_content = tags_by_content(path)
+    tags = sorted(by_content.pop(fingerprint, ()))
+    return FileTags(version, tags, sum(map(len, by_content.values())))
 
 
 def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
@@ -270,13 +233,6 @@ def rows_by_name(tags: Sequence[Tag]) -> Counter[str]:
     return counts
 
 
-def _is_empty(path: Path) -> bool:
-    try:
-        return path.stat().st_size == 0
-    except OSError:  # just finished, and renamed
-        return False
-
-
 def _read_glance(path: Path) -> Glance:
     with Log(path) as log:
         info = describe(log, with_tags=False, with_kept_lag=False)  # tags and lag change without the log
@@ -284,17 +240,8 @@ def _read_glance(path: Path) -> Glance:
         return Glance(info, log.fingerprint)
 
 
-def _without_tags(sources: Sources) -> tuple[str, Stat, Stat]:
-    path, log, _, picture_check = sources
-    return path, log, picture_check
-
-
-def _read_share(path: Path) -> Share:
+def _read_share(path: Path, version: str) -> Share:
     if not path.is_file():
         raise DatasetError(f"{path}: missing; `bc-index` makes it again")
     split = read_frames(path, ["split"])["split"]
-    frames = {str(pair["values"]): int(pair["counts"]) for pair in pc.value_counts(split).to_pylist()}
-    try:
-        return Share(frames, msgspec.convert((read_metadata(path) or {}).get("tags"), list[TagRows]))
-    except msgspec.ValidationError:
-        return Share(frames, None)
+    return {str(pair["values"]): int(pair["counts"]) for pair in pc.value_counts(split).to_pylist()}

@@ -4,7 +4,6 @@ search of all logs for rows that meet a condition."""
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
@@ -65,7 +64,6 @@ class PictureChecks:
         return findings is not None and findings.against is not None
 
     def start(self, log: Log) -> None:
-        """Start a check, unless it is running."""
         pictures = sum(log.counts.get(camera_topic(camera), 0) for camera in CAMERAS)
         self.work.start(log.fingerprint, pictures, [str(absolute(log.path)), log.fingerprint])
 
@@ -89,37 +87,29 @@ def _check(path: str, fingerprint: str, result: str) -> None:
     write_image_check(Path(result).parent, fingerprint, fingerprint, findings)
 
 
-_MAX_SEARCHES: Final = 8  # kept
-
-
-class WhereSearches:
-    """The latest conditions, with their results so far."""
+class WhereSearch:
+    """The latest condition, with its results so far."""
 
     def __init__(self, folders: ProjectFolders, pool: Executor) -> None:
         self._folders = folders
         self._pool = pool
         self._lock = threading.Lock()
-        self._searches: OrderedDict[str, Background[int]] = OrderedDict()
-        self._done = 0  # by searches that were dropped
+        self._where = ""
+        self._search: Background[int] | None = None
 
     @property
     def done(self) -> int:
-        with self._lock:
-            return self._done + sum(search.done for search in self._searches.values())
+        return self._search.done if self._search else 0
 
     def rows(self, where: str, logs: Sequence[Path], patience_s: float | None) -> dict[Path, int]:
         """The number of rows that meet the condition in each log that is searched within `patience_s`; 0 for an
         unreadable log. Raises UsageError for an invalid condition."""
+        check_where(where)
         with self._lock:
-            search = self._searches.get(where)
-        if search is None:
-            check_where(where)
-            search = Background[int](self._pool, partial(self._count, where))
-            with self._lock:
-                self._searches[where] = search
-                while len(self._searches) > _MAX_SEARCHES:
-                    _, dropped = self._searches.popitem(last=False)
-                    self._done += dropped.done
+            search = self._search
+            if search is None or where != self._where:
+                search = Background[int](self._pool, partial(self._count, where))
+                self._where, self._search = where, search
         versions = [(path, f"{version_of_log(path)} {version_of(tags_path(path))}") for path in logs]
         results = search.results(versions, patience_s)
         return {path: rows if isinstance(rows, int) else 0 for path, rows in results.items()}
@@ -213,7 +203,6 @@ def stretches_of_kind(opened: OpenLog, checks: PictureChecks, kind: str) -> list
 
 
 def stretches_of_rows(opened: OpenLog, rows: set[int]) -> list[Rows]:
-    """First and last row of each stretch of rows."""
     states = opened.states
     return [_rows(states, first, last) for first, last in stretches(np.isin(states.row, list(rows)))]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -18,8 +18,6 @@ from web.pages.workbench import Workbench
 from web.runs.run_charts import COLOURS, run_colours
 from web.server.templates import page
 
-_PATIENCE_S: Final = 0.5
-
 
 def drive_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
@@ -28,8 +26,8 @@ def drive_routes(bench: Workbench) -> list[Route]:
         by = query.get("by", "drive") if query.get("by") in WAYS else "drive"
         logs = bench.folders.logs("drives")
         chosen = [key for key in dict.fromkeys(query.getlist("log")) if key in logs][:COLOURS]
-        views = bench.drives.views(logs.values(), _PATIENCE_S)
-        cards = bench.cards.cards("drives", _PATIENCE_S)
+        views = bench.drives.views(logs.values())
+        cards = bench.cards.cards("drives")
         runs = bench.folders.run_folders()
         drives: list[dict[str, Any]] = []
         problems: list[str] = []

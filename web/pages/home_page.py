@@ -19,7 +19,6 @@ from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard, badge_of
 from web.server.templates import page
 
-_PATIENCE_S: Final = 0.5
 _NEWEST: Final = 3  # of each kind
 _SHOWN_ROWS: Final = 150
 """Of the newest drive, from its middle on: a quarter of a minute at ten rows a second."""
@@ -35,8 +34,6 @@ class Suggestion(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """Pictures of a log that the page shows one after the other."""
-
     name: str
     address: str
     first_row: int
@@ -47,8 +44,8 @@ class Moving(NamedTuple):
 def home_routes(bench: Workbench) -> list[Route]:
     def home(request: Request) -> Response:
         live = bench.sessions_version(), bench.runs_version(), bench.drives_version()  # as data-live names them
-        cards = {place: bench.cards.cards(place, _PATIENCE_S) for place in PLACES}
-        runs = bench.runs.cards(_PATIENCE_S)
+        cards = {place: bench.cards.cards(place) for place in PLACES}
+        runs = bench.runs.cards()
         has_samples = (bench.folders.index / SAMPLES_NAME).exists()
         recorded_s = sum(card.info.length_s for card in cards["sessions"] if card.info)
         return page(
@@ -140,7 +137,6 @@ def _newest(cards: Sequence[SessionCard]) -> list[SessionCard]:
 
 
 def _moving(cards: dict[Place, list[SessionCard]]) -> Moving | None:
-    """Pictures of the newest log that can be shown."""
     shown = [(place, card) for place in PLACES for card in _newest(cards[place])[:1]]
     if not shown:
         return None

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
@@ -43,8 +43,6 @@ _PATIENCE_S = 2.0  # for logs that are being read
 
 @dataclass(frozen=True)
 class Offer:
-    """A recording that can be imported."""
-
     recording: RecordingSummary
     name: str  # that no session has
     here: SessionCard | None  # that it seems to have become
@@ -72,8 +70,6 @@ def import_routes(bench: Workbench) -> list[Route]:
                 async for chunk in chunks:
                     await run_in_threadpool(received.write, chunk)
                 uploaded = await run_in_threadpool(received.finish)
-        except ClientDisconnect:
-            return Response(status_code=400)  # to nobody
         except (WebError, OSError):
             async for _ in chunks:  # a browser shows the reason only after it has sent everything
                 pass
@@ -203,6 +199,5 @@ def _name_before(recording: Path, uploads: Path) -> str:
 
 
 def _free_name(name: str, taken: set[str]) -> str:
-    """A name that no session has."""
     names = (name, *(f"{name}-{number}" for number in range(2, 10_000)))
     return next(free for free in names if free not in taken)

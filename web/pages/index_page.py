@@ -37,7 +37,6 @@ from dataset.samples.samples_format import COUNT_HEADINGS, SAMPLES_NAME
 from dataset.samples.samples_reader import LOADED
 from model.config import TrainConfig
 from web.errors import WebError, or_404
-from web.folders.cache_folder import CacheFolder
 from web.folders.file_versions import version_of
 from web.folders.project_folders import key_of
 from web.index.index_view import (
@@ -78,14 +77,9 @@ class AlteredSamples(msgspec.Struct, frozen=True):
     shown: list[AlteredSample]
 
 
-def altered_samples(index: Path, version: str, others: int, cache: CacheFolder) -> AlteredSamples:
-    """`SHOWN` training samples of an index of this version; another number `others` gives others. Raises UserError
-    if the index or its logs cannot be read."""
-    key = f"altered 5 {real_path(index)} {version} {others}"
-    return cache.struct(key, AlteredSamples, lambda: _read(index, others))
-
-
 def _read(index: Path, others: int) -> AlteredSamples:
+    """`SHOWN` training samples of an index; another number `others` gives others. Raises UserError if the index or
+    its logs cannot be read."""
     with Samples(index) as samples:
         table = samples.of_split("train", _COLUMNS)
         # by the golden ratio, the numbers of each round lie between those of earlier rounds
@@ -139,9 +133,6 @@ def _jpeg(picture: Any) -> bytes:
     sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
     ok, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95, *sampling])
     return encoded.tobytes() if ok else b""
-
-
-_PATIENCE_S: Final = 0.3
 
 
 def index_routes(bench: Workbench) -> list[Route]:
@@ -207,20 +198,21 @@ def index_routes(bench: Workbench) -> list[Route]:
         """The stretches of held-out rows of a session, as [first, last]."""
         return JSONResponse(held_out_rows(*session_of(request)))
 
-    def samples_of(trial: str, others: int) -> AlteredSamples:
-        index = bench.trials.get(trial) if trial else bench.folders.index
-        return altered_samples(index, version_of(index / SAMPLES_NAME), others, bench.cache)
+    def samples_of(request: Request) -> AlteredSamples:
+        index, others = folder_of(request), _others(request)
+        key = f"altered 5 {real_path(index)} {version_of(index / SAMPLES_NAME)} {others}"
+        return bench.cache.struct(key, AlteredSamples, lambda: _read(index, others))
 
     def altered(request: Request) -> Response:
-        trial, others = _chosen(request)
-        samples = samples_of(trial, others)
+        trial, others = request.query_params.get("trial", ""), _others(request)
+        samples = samples_of(request)
         shown = [(number, sample, key_of(Path(sample.session))) for number, sample in enumerate(samples.shown)]
         return page("altered_rows.html", total=samples.total, shown=shown, trial=trial, others=others)
 
     def altered_picture(request: Request) -> Response:
         """The picture as recorded (0), or as training sees it (1)."""
         number, is_altered = number_in(request, "number"), number_in(request, "is_altered")
-        samples = samples_of(*_chosen(request)).shown
+        samples = samples_of(request).shown
         if number >= len(samples) or is_altered > 1 or not samples[number].pictures[is_altered]:
             raise WebError(f"sample {number} has no such picture", 404)
         return Response(samples[number].pictures[is_altered], media_type="image/jpeg")
@@ -255,7 +247,7 @@ def index_routes(bench: Workbench) -> list[Route]:
 def not_taken_in(bench: Workbench) -> tuple[list[str], bool]:
     """The sessions that are newer than the index, or have changed since; and whether the index has the settings of
     `bc-index` without flags, so that this takes them in and changes nothing else."""
-    cards = bench.cards.cards("sessions", _PATIENCE_S)
+    cards = bench.cards.cards("sessions")
     names = {card.name for card in cards if card.index.state is IndexState.CHANGED}
     with contextlib.suppress(UserError):
         logs = [log for log in bench.folders.logs("sessions").values() if log.suffix == ".mcap"]
@@ -275,9 +267,9 @@ def taken_in_first(bench: Workbench, form: str, values: Mapping[str, str]) -> li
     return form_of("index").words({}, bench.folders) if names and is_usual else []
 
 
-def _chosen(request: Request) -> tuple[str, int]:
-    """The key of a trial, "" for the project's index; and the number of the choice of samples."""
-    return request.query_params.get("trial", ""), whole_number(request.query_params.get("others", "")) or 0
+def _others(request: Request) -> int:
+    """The number of the choice of samples."""
+    return whole_number(request.query_params.get("others", "")) or 0
 
 
 def _view(folder: Path) -> tuple[IndexView | None, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -24,7 +25,7 @@ from recorder import LogError
 from recorder.pictures.picture_size import PNG_START
 from recorder.topics import camera_topic
 from web.errors import WebError, or_404
-from web.folders.file_versions import Newest, version_of
+from web.folders.file_versions import version_of
 from web.folders.project_folders import Place, is_recording, key_of, version_of_log
 from web.index.index_view import bins_of_index
 from web.logs.film_strip import film_strip, steering_sketch
@@ -33,8 +34,7 @@ from web.pages.request_values import number_in
 from web.pages.workbench import Workbench
 from web.processes.predictions import Measured
 from web.runs.run_configs import check_network, origin_of
-from web.server.static_files import KEPT
-from web.server.templates import page
+from web.server.templates import KEPT, page
 
 if TYPE_CHECKING:  # these load PyTorch, which only requests need
     from dataset.picture_spec import PictureSpec
@@ -45,9 +45,7 @@ _COLOR: Final = (255, 40, 230)  # BGR; no road has this colour
 _MAX_ALPHA: Final = 0.8  # where the network looks most
 _UNSEEN_ALPHA: Final = 0.45  # of the black over the rows outside the crop
 _MAX_WIDTH_PX: Final = 640
-_KEPT: Final = 2  # networks in memory
 _ONE_AT_A_TIME: Final = threading.Lock()
-_networks: Final[Newest[tuple[PictureNetwork, PictureSpec]]] = Newest(_KEPT)
 
 
 def attention_overlay(run: Path, log: Path, encoded: bytes) -> bytes:
@@ -62,7 +60,6 @@ def attention_overlay(run: Path, log: Path, encoded: bytes) -> bytes:
     from model.errors import RunError
     from model.evaluation.predict import as_input
     from model.network.visual_backprop import visual_backprop
-    from model.runs.run_folder import load_network, picture_of_run
 
     try:
         picture = decode(encoded)
@@ -72,12 +69,19 @@ def attention_overlay(run: Path, log: Path, encoded: bytes) -> bytes:
         torch.set_num_threads(1)  # on a busy machine, several threads for one picture take 20 times as long
         check_network(run, log)
         version = version_of(run / WEIGHTS, run / CONFIG)
-        network, spec = _networks.get(run, version, lambda: (load_network(run), picture_of_run(run)))
+        network, spec = _network(run, version)
         try:
             _, maps = visual_backprop(network, as_input(preprocess(picture, spec)[None]))
         except RunError as error:
             raise RunError(f"{run}: {error}") from None
     return _drawn(maps[0].numpy(), picture.shape[0], picture.shape[1], spec)
+
+
+@lru_cache(maxsize=2)
+def _network(run: Path, version: str) -> tuple[PictureNetwork, PictureSpec]:
+    from model.runs.run_folder import load_network, picture_of_run
+
+    return load_network(run), picture_of_run(run)
 
 
 def _drawn(attention: NDArray[np.float32], height: int, width: int, spec: PictureSpec) -> bytes:
@@ -105,12 +109,8 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
     def cached(request: Request, kind: str, make: Callable[[OpenLog], bytes], media_type: str) -> Response:
         path = path_of(request)
         version = version_of_log(path)
-
-        def made() -> bytes:
-            with bench.logs.open(path) as opened:
-                return make(opened)
-
-        data = bench.cache.get(f"{kind} {real_path(path)} {version}", made)
+        key = f"{kind} {real_path(path)} {version}"
+        data = bench.cache.get(key, lambda: make(bench.logs.open(path)))
         return Response(data, media_type=media_type, headers=_kept(request, version))
 
     def strip(request: Request) -> Response:
@@ -118,25 +118,24 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
 
     def sketch(request: Request) -> Response:
         bins = bins_of_index(bench.folders.index)
-
-        def make(opened: OpenLog) -> bytes:
-            return steering_sketch(opened.states.steering, bins)
-
-        return cached(request, f"sketch 3 {bins}", make, "image/svg+xml")
+        return cached(
+            request,
+            f"sketch 3 {bins}",
+            lambda opened: steering_sketch(opened.states.steering, bins),
+            "image/svg+xml",
+        )
 
     def picture(request: Request) -> Response:
-        with bench.logs.open(path_of(request)) as opened:
-            data = _picture(request, opened, _camera_of(request))
-            media_type = _type_of(data, number_in(request, "row"))
-            return Response(data, media_type=media_type, headers=_kept(request, opened.version))
+        opened = bench.logs.open(path_of(request))
+        data = _picture(request, opened, _camera_of(request))
+        media_type = _type_of(data, number_in(request, "row"))
+        return Response(data, media_type=media_type, headers=_kept(request, opened.version))
 
     def attention(request: Request) -> Response:
         """The attention map of a run's network for the centre camera's picture of a row."""
         path, run = path_of(request), bench.folders.run(request.path_params["run"])
-        with bench.logs.open(path) as opened:
-            encoded = _picture(request, opened, "center")
-        data = attention_overlay(run, path, encoded)
-        return Response(data, media_type="image/png")
+        encoded = _picture(request, bench.logs.open(path), "center")
+        return Response(attention_overlay(run, path, encoded), media_type="image/png")
 
     def links(request: Request) -> Response:
         """Links to the runs that learnt from a log, and to the run that drove."""
@@ -145,8 +144,8 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         learnt = [
             (printable(run.name), f"/runs/{key}") for key, run in runs.items() if name in origin_of(run).sessions
         ]
-        with bench.logs.open(path) as opened:
-            driver = opened.log.metadata.get("run", "")
+        opened = bench.logs.open(path)
+        driver = opened.log.metadata.get("run", "")
         key = key_of(bench.folders.runs / driver) if driver else ""
         drove = printable(driver), f"/runs/{key}" if key in runs else ""
         return page("log_links.html", learnt=learnt, drove=drove)
@@ -157,26 +156,26 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         run = bench.folders.run(request.path_params["run"])
         if is_recording(path):
             raise WebError("this log is being recorded: wait until the recording has ended", 409)
-        with bench.logs.open(path) as opened:
-            fingerprint = opened.log.fingerprint
-            if fingerprint != request.query_params.get("log", ""):
-                raise WebError(
-                    "the log has changed since this page was opened: choose the run again, or reload the page", 409
-                )
-            key = bench.predictions.key(fingerprint, run)
+        opened = bench.logs.open(path)
+        fingerprint = opened.log.fingerprint
+        if fingerprint != request.query_params.get("log", ""):
+            raise WebError(
+                "the log has changed since this page was opened: choose the run again, or reload the page", 409
+            )
+        key = bench.predictions.key(fingerprint, run)
 
-            def about() -> Measured | None:
-                predicted = bench.predictions.find(key)
-                return predicted.about if predicted else None
+        def about() -> Measured | None:
+            predicted = bench.predictions.find(key)
+            return predicted.about if predicted else None
 
-            def start() -> None:
-                check_network(run, path)
-                pictures = len(opened.log.pictures(camera_topic("center")).sequence)
-                if not pictures:
-                    raise WebError("this log has no picture of the centre camera, which the network needs", 422)
-                bench.predictions.start(key, path, fingerprint, run, pictures)
+        def start() -> None:
+            check_network(run, path)
+            pictures = len(opened.log.pictures(camera_topic("center")).sequence)
+            if not pictures:
+                raise WebError("this log has no picture of the centre camera, which the network needs", 422)
+            bench.predictions.start(key, path, fingerprint, run, pictures)
 
-            state = bench.predictions.work.state(key, about, start if request.method == "POST" else None)
+        state = bench.predictions.work.state(key, about, start if request.method == "POST" else None)
         return JSONResponse({"name": printable(run.name), **state})
 
     def stop_prediction(request: Request) -> Response:
@@ -191,8 +190,7 @@ def log_file_routes(bench: Workbench, place: Place) -> list[Route]:
         path = path_of(request)
         predicted = bench.predictions.find(request.path_params["key"])
         predicted = or_404(predicted, "this prediction is no longer kept: choose the run again")
-        with bench.logs.open(path) as opened:
-            data = predicted.at(opened.states.row).astype("<f8").tobytes()
+        data = predicted.at(bench.logs.open(path).states.row).astype("<f8").tobytes()
         return Response(data, media_type="application/octet-stream")
 
     at = f"/{place}/{{log}}"

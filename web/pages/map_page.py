@@ -104,8 +104,8 @@ def _log(bench: Workbench, address: str) -> MappedLog:
     path = bench.folders.log(place, key)
     if path.name.endswith(PART_SUFFIX):
         raise WebError(f"{path}: unfinished; a map needs a finished log", 409)
-    with bench.logs.open(path) as opened:
-        return MappedLog(f"/{place}/{key}", path, opened.log.fingerprint)
+    opened = bench.logs.open(path)
+    return MappedLog(f"/{place}/{key}", path, opened.log.fingerprint)
 
 
 def _indexed_logs(bench: Workbench) -> list[MappedLog]:

@@ -15,7 +15,6 @@ from common.untrusted import whole_number
 from web.errors import WebError, or_404
 
 _FORM = "application/x-www-form-urlencoded"
-_MAX_FIELDS = 2000  # a thousand logs may be merged
 
 
 Values = ImmutableMultiDict[str, str]
@@ -37,7 +36,7 @@ async def _form_values(request: Request) -> Values:
         raise WebError(f"this address takes only forms ({_FORM})", 415)
     try:
         text = (await request.body()).decode("ascii")
-        return Values(parse_qsl(text, keep_blank_values=True, max_num_fields=_MAX_FIELDS))
+        return Values(parse_qsl(text, keep_blank_values=True))
     except ValueError as error:
         raise WebError(f"not a form: {error}", 422) from None
 

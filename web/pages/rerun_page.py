@@ -18,8 +18,7 @@ from web.errors import WebError
 from web.folders.project_folders import Place, is_recording
 from web.pages.workbench import Workbench
 from web.processes.rerun_viewers import FILES, viewer_version
-from web.server.static_files import KEPT
-from web.server.templates import page
+from web.server.templates import KEPT, page
 
 _POLL_S: Final = 0.1
 _POLICY: Final = "; ".join(  # the viewer is Rerun's program: it may reach only this server
@@ -70,9 +69,9 @@ def rerun_log_routes(bench: Workbench, place: Place) -> list[Route]:
         log is open as long as these lines are read."""
         path = bench.folders.log(place, request.path_params["log"])
         is_growing = is_recording(path)
-        with bench.logs.open(path) as opened:
-            first_ns = int(next(iter(opened.states.time_ns), 0))
-            late_s = 1e-9 * (first_ns - opened.log.time_range_ns[0])
+        opened = bench.logs.open(path)
+        first_ns = int(next(iter(opened.states.time_ns), 0))
+        late_s = 1e-9 * (first_ns - opened.log.time_range_ns[0])
 
         async def lines() -> AsyncIterator[str]:
             viewer = None

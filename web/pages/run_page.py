@@ -28,7 +28,6 @@ from web.errors import WebError, or_404
 from web.folders.project_folders import PLACES, key_of
 from web.jobs.job_forms import in_one_field
 from web.pages.request_values import number_in
-from web.pages.runs_page import PATIENCE_S
 from web.pages.workbench import Workbench
 from web.runs.run_cards import RunCard, badge_of
 from web.runs.run_charts import bin_bars
@@ -75,7 +74,7 @@ def run_routes(bench: Workbench) -> list[Route]:
         # without the versions of logs, which may still be read: the first poll refreshes it
         live, key = bench.runs_version(), request.path_params["run"]
         path = _run(key)
-        cards = {card.key: card for card in bench.runs.cards(PATIENCE_S)}
+        cards = {card.key: card for card in bench.runs.cards()}
         card = or_404(cards.get(key), f"{path}: the run was deleted or renamed")
         # a session goes before a drive with the same key
         pages = {key: f"/{place}/{key}" for place in reversed(PLACES) for key in bench.folders.logs(place)}
@@ -100,7 +99,7 @@ def run_routes(bench: Workbench) -> list[Route]:
             results=_results(pages, card),
             drives=[
                 (drive.name, f"/drives/{drive.key}")
-                for drive in bench.cards.cards("drives", 0.3)
+                for drive in bench.cards.cards("drives")
                 if drive.info and drive.info.session.get("run") == path.name
             ],
             scatter_logs=_scatter_logs(bench, pages, card),
@@ -173,7 +172,7 @@ def _not_as_before(bench: Workbench, card: RunCard, config: Mapping[str, Any]) -
     before = data.get("logs") if isinstance(data, dict) else None
     now: dict[str, str] = {}
     for place in reversed(PLACES):
-        now |= bench.cards.fingerprints(place, 0.3)
+        now |= bench.cards.fingerprints(place)
     reasons = []
     for session, log in before.items() if isinstance(before, dict) else ():
         if session not in now:
@@ -202,7 +201,7 @@ def _changed(settings: TrainConfig, usual: TrainConfig) -> dict[str, Any]:
 def _takeovers(bench: Workbench, sessions: Sequence[str], init: str) -> str:
     """The drives among the sessions of a run from which its first run `init` has not learnt, as the value of a
     field; "" if one is not in the folder of drives."""
-    earlier = next((card.summary for card in bench.runs.cards(PATIENCE_S) if card.name == init), None)
+    earlier = next((card.summary for card in bench.runs.cards() if card.name == init), None)
     if earlier is None:
         return ""
     drives = {log.name.removesuffix(".mcap"): str(log.absolute()) for log in bench.folders.logs("drives").values()}
@@ -246,7 +245,6 @@ def _page_of(pages: Mapping[str, str], session: str) -> str:
 
 
 def _results(pages: Mapping[str, str], card: RunCard) -> list[dict[str, Any]]:
-    """The last result of each kind for the present weights."""
     results = []
     for kept in card.summary.results if card.summary else ():
         log = kept.result.get("log")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -22,16 +22,13 @@ from web.runs.run_charts import COLOURS, Line, run_colours, run_curves
 from web.runs.run_configs import differing, settings_of
 from web.server.templates import page
 
-PATIENCE_S: Final = 1.0
-"""Time for runs that are being read."""
-
 
 def run_list_routes(bench: Workbench) -> list[Route]:
     def whole(request: Request) -> Response:
         live = bench.runs_version()  # before the runs are read
         text, sort = (request.query_params.get(name, "").strip() for name in ("text", "sort"))
         sort = sort if sort in SORTED_BY else "newest"
-        cards = bench.runs.cards(PATIENCE_S)
+        cards = bench.runs.cards()
         shown = _sorted([card for card in cards if has_words(text, _words(card))], sort)
         summaries = [card.summary for card in shown if card.summary]
         chosen = _chosen(request)
@@ -54,7 +51,6 @@ def run_list_routes(bench: Workbench) -> list[Route]:
         )
 
     def curves(request: Request) -> Response:
-        """The lines of each readable chosen run."""
         runs = []
         chosen = _chosen(request)
         colours = run_colours(path.name for path in chosen.values())
@@ -101,7 +97,6 @@ def _sorted(cards: Sequence[RunCard], by: str) -> list[RunCard]:
 
 
 def _words(card: RunCard) -> list[str]:
-    """The words by which a run is found."""
     run = card.summary
     return [
         card.name,

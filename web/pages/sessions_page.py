@@ -17,6 +17,7 @@ from common.errors import printable
 from recorder.log_cli import SORTED_BY
 from recorder.rows.causes import CAUSES, PLAIN
 from web.errors import WebError
+from web.folders.cache_folder import PATIENCE_S
 from web.index.index_view import bins_of_index
 from web.logs.session_cards import IndexState, SessionCard
 from web.logs.session_stretches import (
@@ -29,9 +30,6 @@ from web.pages.request_values import has_words
 from web.pages.tagging import Action, Stretches, TagChange, change_tags, on_change
 from web.pages.workbench import Workbench
 from web.server.templates import page
-
-_PATIENCE_S: Final = 0.3
-"""Time for logs that are being read: enough for a few sessions. A longer list is completed later."""
 
 SORTS: Final[dict[str, Callable[[SessionCard], Any]]] = {
     **{name: (lambda card, key=key: key(card.info)) for name, key in SORTED_BY.items() if name != "name"},  # type: ignore[misc]
@@ -55,8 +53,6 @@ ONLY: Final[dict[str, Callable[[SessionCard], bool]]] = {
 
 @dataclass(frozen=True)
 class SessionQuery:
-    """The values of the form above the list."""
-
     text: str
     sort: str
     only: str
@@ -90,8 +86,6 @@ class Listed:
 
 
 class TagsOfLog(msgspec.Struct, forbid_unknown_fields=True):
-    """Rows of the log with this key and fingerprint."""
-
     key: str
     log: str
     rows: Stretches
@@ -160,7 +154,7 @@ def session_list_routes(bench: Workbench) -> list[Route]:
     ]
 
 
-def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | None = _PATIENCE_S) -> Listed:
+def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | None = PATIENCE_S) -> Listed:
     """The sessions that match the query, in its order, as far as they are read within `patience_s`; None waits for
     all."""
     cards = bench.cards.cards("sessions", patience_s)
@@ -171,7 +165,7 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
     if query.where:
         readable: dict[Path, SessionCard] = {card.path: card for card in chosen if not card.problem}
         try:
-            counts = bench.searches.rows(query.where, list(readable), patience_s)
+            counts = bench.search.rows(query.where, list(readable), patience_s)
         except UserError as error:
             problem = str(error)
         else:
@@ -184,22 +178,22 @@ def list_sessions(bench: Workbench, query: SessionQuery, patience_s: float | Non
 
 
 def _stretches(bench: Workbench, card: SessionCard, query: SessionQuery) -> dict[str, Any]:
-    with bench.logs.open(card.path) as opened:
-        log = opened.log
-        if log.problem:
-            raise UserError("skipped, because it is unfinished")
-        if query.where:
-            rows = stretches_of_rows(opened, bench.searches.numbers(query.where, card.path))
-        else:
-            rows = stretches_of_kind(opened, bench.checks, query.kind)
-        return {
-            "key": card.key,
-            "name": card.name,
-            "log": log.fingerprint,
-            "version": opened.version,
-            "camera": next(iter(opened.cameras), ""),
-            "rows": not_dealt_with(rows, bench.cards.tags(card.path, log.fingerprint).tags),
-        }
+    opened = bench.logs.open(card.path)
+    log = opened.log
+    if log.problem:
+        raise UserError("skipped, because it is unfinished")
+    if query.where:
+        rows = stretches_of_rows(opened, bench.search.numbers(query.where, card.path))
+    else:
+        rows = stretches_of_kind(opened, bench.checks, query.kind)
+    return {
+        "key": card.key,
+        "name": card.name,
+        "log": log.fingerprint,
+        "version": opened.version,
+        "camera": next(iter(opened.cameras), ""),
+        "rows": not_dealt_with(rows, bench.cards.tags(card.path, log.fingerprint).tags),
+    }
 
 
 def _has_kind(card: SessionCard, kind: str) -> bool:
@@ -211,7 +205,6 @@ def _has_kind(card: SessionCard, kind: str) -> bool:
 
 
 def _words(card: SessionCard) -> list[str]:
-    """The words by which a session is found."""
     metadata = [card.info.start, *card.info.session.values()] if card.info else []
     return [
         card.name,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from starlette.concurrency import run_in_threadpool
@@ -20,9 +20,8 @@ from web.folders.project_folders import Place
 from web.jobs.job_forms import as_argument
 from web.pages.workbench import Workbench
 
-MAX_STRETCHES: Final = 10_000  # in one change of a log
 Rows = tuple[int, int]
-Stretches = Annotated[list[Rows], msgspec.Meta(min_length=1, max_length=MAX_STRETCHES)]
+Stretches = Annotated[list[Rows], msgspec.Meta(min_length=1)]
 Action = Literal["add", "remove"]
 Change = TypeVar("Change", bound=msgspec.Struct)
 
@@ -68,12 +67,12 @@ def change_tags(bench: Workbench, place: Place, path: Path, change: TagChange) -
     for first, last in change.rows:
         if not 0 <= first <= last:
             raise WebError(f"rows {first} to {last}: the first row, then the last one", 422)
-    with bench.logs.open(path) as opened:
-        if opened.log.problem:
-            raise WebError(f"{opened.log.notice}; tag that one", 409)
-        if opened.log.fingerprint != change.log:
-            raise WebError("the log has been replaced since this page was opened: reload it", 409)
-        check_rows(opened.log, (min(first for first, _ in change.rows), max(last for _, last in change.rows)))
+    opened = bench.logs.open(path)
+    if opened.log.problem:
+        raise WebError(f"{opened.log.notice}; tag that one", 409)
+    if opened.log.fingerprint != change.log:
+        raise WebError("the log has been replaced since this page was opened: reload it", 409)
+    check_rows(opened.log, (min(first for first, _ in change.rows), max(last for _, last in change.rows)))
     before = set(bench.cards.tags(path, change.log).tags)
     is_add = change.action == "add"
     requested = dict.fromkeys(Tag(*rows, change.name) for rows in change.rows)

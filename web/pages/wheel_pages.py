@@ -58,7 +58,6 @@ _QUEUE: Final = 2  # messages for a slow page; then the process waits
 
 def wheel_routes(bench: Workbench) -> list[BaseRoute]:
     def whole(request: Request) -> Response:
-        """The form, and the running drives."""
         driver = request.query_params.get("driver", DEFAULTS["driver"])
         name = free_name(beginning_of(driver), bench.folders)
         values = {**DEFAULTS, "name": name, **request.query_params}
@@ -112,8 +111,8 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         place, key, ended = _ended_drive(request)
         log = or_404(ended, "nothing was recorded, so there is nothing to train on").log
         if "leave_out" in values:
-            with bench.logs.open(log) as opened:
-                fingerprint, rows = opened.log.fingerprint, rows_before_put_back(opened)
+            opened = bench.logs.open(log)
+            fingerprint, rows = opened.log.fingerprint, rows_before_put_back(opened)
             if rows:
                 change_tags(bench, place, log, TagChange("add", EXCLUDE, rows, fingerprint))
         words, run = training(place, log, bench.folders)
@@ -134,15 +133,15 @@ def wheel_routes(bench: Workbench) -> list[BaseRoute]:
         }
         if ended.is_growing:
             return page("wheel_after.html", **context)
-        with bench.logs.open(ended.log) as opened:
-            metadata = opened.log.metadata
-            states = opened.states
-            length_s = float(states.time_ns[-1] - states.time_ns[0]) / 1e9 if len(states.row) else 0.0
-            taken = takeovers(opened.log)
-            is_ours = place == "drives" or metadata.get("track") or opened.log.read_metadata(PERSON_METADATA)
-            rows = len(states.row)
-            left_road = [] if place == "drives" else rows_before_put_back(opened)
-            tags = set(bench.cards.tags(ended.log, opened.log.fingerprint).tags) if left_road else set()
+        opened = bench.logs.open(ended.log)
+        metadata = opened.log.metadata
+        states = opened.states
+        length_s = float(states.time_ns[-1] - states.time_ns[0]) / 1e9 if len(states.row) else 0.0
+        taken = takeovers(opened.log)
+        is_ours = place == "drives" or metadata.get("track") or opened.log.read_metadata(PERSON_METADATA)
+        rows = len(states.row)
+        left_road = [] if place == "drives" else rows_before_put_back(opened)
+        tags = set(bench.cards.tags(ended.log, opened.log.fingerprint).tags) if left_road else set()
         view = bench.drives.views([ended.log], _PATIENCE_S).get(ended.log)
         by = "who drove" if place == "drives" else "drive"
         runs = bench.folders.run_folders()

@@ -19,7 +19,7 @@ from web.jobs.jobs import Jobs
 from web.logs.drive_view import DriveViews
 from web.logs.open_logs import OpenLogs
 from web.logs.session_cards import SessionCards
-from web.logs.session_stretches import PictureChecks, WhereSearches
+from web.logs.session_stretches import PictureChecks, WhereSearch
 from web.processes.picture_maps import PictureMaps
 from web.processes.predictions import Predictions
 from web.processes.rerun_viewers import RerunViewers
@@ -39,7 +39,7 @@ class Workbench:
         self.cards = SessionCards(folders, self.cache, pool)
         self.cards.cards("sessions", 0)  # starts to read them before the first request
         self.drives = DriveViews(self.cache, pool)
-        self.searches = WhereSearches(folders, pool)
+        self.search = WhereSearch(folders, pool)
         self.checks = PictureChecks(folders.index, cache)
         self.runs = RunCards(folders)
         self.jobs = Jobs(cache)
@@ -52,7 +52,7 @@ class Workbench:
     def sessions_version(self) -> str:
         """A text that changes with the logs, their tags and the index, and when another log has been read."""
         built = version_of(self.folders.index / STATE_NAME)
-        return f"{self.folders.version_of_folder('sessions')} {built} {self.cards.done + self.searches.done}"
+        return f"{self.folders.version_of_folder('sessions')} {built} {self.cards.done + self.search.done}"
 
     def runs_version(self) -> str:
         """A text that changes with every line that a training writes, and when another run has been read."""

@@ -20,14 +20,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
-from zipfile import BadZipFile
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 import behavioural_cloning_toolkit
-from common import UserError
+from common import UserError, atomic_file
 from common.errors import printable
 from common.output import print_result
 from common.process_settings import end_with_parent
@@ -53,7 +52,6 @@ def start_process(module: str, words: list[str], temporary: str) -> subprocess.P
 
 
 def reports(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any]]:
-    """The reports of a process, until it ends."""
     assert process.stdout is not None  # noqa: S101
     with process.stdout as lines:
         for line in lines:
@@ -95,8 +93,6 @@ _SHOWN: Final = ("is_begun", "stage", "pictures", "total", "left_s", "problem") 
 
 @dataclass
 class Work:
-    """Work that was requested."""
-
     total: int  # pictures
     pictures: int = 0
     stage: str = ""  # if it has several; each has its own total
@@ -141,19 +137,13 @@ class KeptWork:
         return self._folder / f"{key}.npz"
 
     def find(self, key: str, read: Callable[[Mapping[str, NDArray[Any]]], Result]) -> Result | None:
-        """What `read` makes of the columns of a key; None if the key is invalid or not kept (any more). A damaged
-        file is deleted."""
+        """What `read` makes of the columns of a key; None if the key is invalid or not kept (any more)."""
         if not _KEY.fullmatch(key):
             return None
-        path = self.path(key)
         try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
+            with np.load(self.path(key), allow_pickle=False) as kept:
                 return read(kept)
         except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile, msgspec.MsgspecError):
-            with contextlib.suppress(OSError):
-                path.unlink()
             return None
 
     def requested(self, key: str) -> Work | None:
@@ -161,7 +151,6 @@ class KeptWork:
             return self._requested.get(key)
 
     def start(self, key: str, pictures: int, words: Sequence[str]) -> None:
-        """Start it, unless it is waiting or running."""
         with self._lock:
             before = self._requested.get(key)
             if before is not None and not (before.is_done or before.is_stopped):
@@ -174,18 +163,13 @@ class KeptWork:
     ) -> dict[str, object]:
         """The state of a work for its page: `about()` if the result is kept, else progress and problem. If it is
         not kept, call `start`."""
-        before = self.requested(key)
-        was_done = before is not None and before.is_done
         if (result := about()) is not None:
             return {"key": key, "about": msgspec.to_builtins(result), "problem": ""}
         if start is not None:
             start()
         state: dict[str, object] = {"key": key, "about": None, "problem": ""}
-        if (work := self.requested(key)) is None:
-            return state
-        state |= {name: getattr(work, name) for name in _SHOWN}
-        if was_done and work is before and not work.problem:
-            state["problem"] = "the result could not be saved: the cache folder may be full"
+        if work := self.requested(key):
+            state |= {name: getattr(work, name) for name in _SHOWN}
         return state
 
     def stop(self, key: str) -> None:
@@ -251,14 +235,8 @@ def _fingerprint(run: Path, version: str) -> str:
 
 def write_result(path: Path, **columns: NDArray[Any]) -> None:
     """Write a result, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        with part.open("wb") as stream:
-            np.savez(stream, **columns)  # type: ignore[arg-type]
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with atomic_file(path, overwrite=True) as part, part.open("wb") as stream:
+        np.savez(stream, **columns)  # type: ignore[arg-type]
 
 
 def _update(work: Work, message: Mapping[str, Any]) -> None:

@@ -68,8 +68,6 @@ def at_rows(row: NDArray[np.int64], values: Values, rows: NDArray[np.int64]) -> 
 
 
 class Predictions:
-    """The predictions that are kept, running and waiting."""
-
     def __init__(self, cache: Path) -> None:
         stopped = "stopped; choose the run again to start anew"
         self.work = KeptWork(cache / "predictions", "web.processes.predictions", stopped)
@@ -79,11 +77,9 @@ class Predictions:
         return hashlib.sha256(f"{_FORMAT} {log_fingerprint} {run_fingerprint(run)}".encode()).hexdigest()
 
     def find(self, key: str) -> Predicted | None:
-        """The prediction of a key; None if it is not kept."""
         return self.work.find(key, _predicted)
 
     def start(self, key: str, log: Path, log_fingerprint: str, run: Path, pictures: int) -> None:
-        """Start it, unless it is waiting or running."""
         self.work.start(key, pictures, [str(log.absolute()), str(run.absolute()), log_fingerprint])
 
 

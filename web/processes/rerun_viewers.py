@@ -10,9 +10,7 @@ import contextlib
 import http.client
 import os
 import secrets
-import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -29,8 +27,6 @@ from web.errors import WebError, or_404
 from web.folders.cache_folder import CacheFolder
 from web.processes.kept_work import report, reports, run_in_process, start_process
 
-MAX_OPEN: Final = 2
-"""The logs that may be open at once. One more closes the oldest."""
 FILES: Final = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 """The viewer's files, and their media types."""
 
@@ -38,7 +34,6 @@ _LOCAL: Final = "127.0.0.1"
 _PATIENCE_S: Final = 10.0  # for a file of the viewer
 _GRACE_S: Final = 3.0  # for a process to end by itself
 _POLL_S: Final = 0.05
-_MAX_NOTES: Final = 20
 _BLOCK_BYTES: Final = 1 << 18
 
 
@@ -65,7 +60,6 @@ class RerunViewer:
 
     @property
     def has_begun(self) -> bool:
-        """Whether the recording has data."""
         file = self._opened()
         if file is None:
             return False
@@ -102,9 +96,6 @@ class RerunViewer:
             self._process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_GRACE_S)
-        if sys.platform != "win32":
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
         self._process.wait()
         self._reader.join()
@@ -113,7 +104,7 @@ class RerunViewer:
     def _read(self) -> None:
         for message in reports(self._process):
             self.problem = self.problem or printable(str(message.get("problem", "")))
-            if "note" in message and len(self.notes) < _MAX_NOTES:
+            if "note" in message:
                 self.notes.append(printable(str(message["note"])))
         if code := self._process.wait():
             self.problem = self.problem or f"the process that reads the log ended with {code}; open it again"
@@ -126,7 +117,7 @@ class RerunViewers:
         self._cache = cache
         self._lock = threading.Lock()
         self._fetching = threading.Lock()
-        self._open: dict[str, RerunViewer] = {}  # the oldest first
+        self._open: dict[str, RerunViewer] = {}
         self._closing = ThreadPoolExecutor(thread_name_prefix="rerun ends")
 
     def open(self, log: Path, *, is_growing: bool) -> RerunViewer:
@@ -135,22 +126,18 @@ class RerunViewers:
             raise WebError(f"Rerun is not installed here: `{package_line('rerun-sdk')}` brings it", 501)
         viewer = RerunViewer(log, is_growing=is_growing)
         with self._lock:
-            others = list(self._open.values())
             self._open[viewer.key] = viewer
-        for other in others[: max(0, len(others) + 1 - MAX_OPEN)]:
-            self.end(other, f"closed: {MAX_OPEN} logs were opened in Rerun since; open it again")
         return viewer
 
     def get(self, key: str) -> RerunViewer:
-        """The open log of a key. Raises WebError if it is not open (any more)."""
         with self._lock:
             viewer = self._open.get(key)
         return or_404(viewer, "this log is no longer open in Rerun: open it again from its page")
 
-    def end(self, viewer: RerunViewer, reason: str = "") -> None:
+    def end(self, viewer: RerunViewer) -> None:
         with self._lock:
             if self._open.pop(viewer.key, None) is not None:
-                viewer.problem = viewer.problem or reason or "Rerun has ended; open it again"
+                viewer.problem = viewer.problem or "Rerun has ended; open it again"
                 self._closing.submit(viewer.close)
 
     def file(self, name: str) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
@@ -14,7 +14,7 @@ from model.runs.run_files import CONFIG, RESULTS_FILE, WEIGHTS, is_being_trained
 from model.runs.training_progress import METRICS_FILE, STEPS_FILE
 from model.runs.worst_pictures import WORST_FILE
 from web.folders.cache_folder import Background
-from web.folders.file_versions import Newest, digest, version_of
+from web.folders.file_versions import digest, version_of
 from web.folders.notes import NOTE_FILE, Note, read_note
 from web.folders.project_folders import ProjectFolders, key_of
 
@@ -61,7 +61,6 @@ _SUMMED_UP: Final = CONFIG, METRICS_FILE, RESULTS_FILE, WEIGHTS
 _GROWING: Final = STEPS_FILE, WORST_FILE
 _SHOWN: Final = *_SUMMED_UP, *_GROWING, NOTE_FILE
 _HISTORY: Final = METRICS_FILE, *_GROWING
-_HISTORIES: Final = 16  # in memory: the ones used last
 
 
 @dataclass(frozen=True)
@@ -93,13 +92,10 @@ class RunCard:
 
 
 class RunCards:
-    """The cards of all runs, and the histories of the runs used last."""
-
     def __init__(self, folders: ProjectFolders) -> None:
         self._folders = folders
         self._pool = ThreadPoolExecutor(1, "reading runs")
         self._summaries = Background(self._pool, _summary)
-        self._histories: Newest[History] = Newest(_HISTORIES)
 
     def close(self) -> None:
         self._pool.shutdown(cancel_futures=True)
@@ -114,22 +110,19 @@ class RunCards:
         versions = [_version_of(path, *_SHOWN) for path in runs]
         return digest([*versions, *(str(is_being_trained(path)) for path in runs)])
 
-    def cards(self, patience_s: float) -> list[RunCard]:
-        """The cards of all runs, by name. Those not read within `patience_s` have no `summary` yet."""
+    def cards(self) -> list[RunCard]:
+        """The cards of all runs, by name. Those not read within a moment have no `summary` yet."""
         paths = self._folders.run_folders().values()
         versions = [(path, _version_of(path, *_SUMMED_UP)) for path in paths]
-        summaries = self._summaries.results(versions, patience_s)
+        summaries = self._summaries.results(versions)
         return [_card(path, summaries.get(path)) for path in paths]
 
     def history(self, path: Path) -> History:
         """The course of a training so far. Raises RunError if it cannot be read."""
-        from model.runs.history import read_history
-
-        return self._histories.get(path, _version_of(path, *_HISTORY), lambda: read_history(path)[0])
+        return _history(path, _version_of(path, *_HISTORY))
 
 
 def _version_of(run: Path, *names: str) -> str:
-    """The version of some of a run's files."""
     return version_of(*(run / name for name in names))
 
 
@@ -140,6 +133,13 @@ def _card(path: Path, summary: RunSummary | UserError | None) -> RunCard:
     elif summary is not None and summary.problem:
         problem, summary = summary.problem, None
     return RunCard(key_of(path), path, summary, printable(problem), is_being_trained(path))
+
+
+@lru_cache(maxsize=8)
+def _history(run: Path, version: str) -> History:
+    from model.runs.history import read_history
+
+    return read_history(run)[0]
 
 
 def _summary(run: Path, version: str) -> RunSummary:

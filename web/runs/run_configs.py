@@ -123,7 +123,6 @@ def check_network(run: Path, log: Path) -> None:
 
 
 def can_be_run(run: Path) -> bool:
-    """Whether bc-web runs the network of a run."""
     with contextlib.suppress(UserError):
         return not is_own_network(load_config(run))
     return False

@@ -33,12 +33,10 @@ from common.untrusted import whole_number
 from recorder.server.connection_guard import AllowedHosts, is_loopback
 from web.errors import WebError, report_bug
 from web.folders.uploads import MAX_UPLOAD_BYTES
-from web.server.static_files import STATIC
-from web.server.templates import PAGES, page
+from web.server.templates import PAGES, STATIC, page
 
 
 def error_answer(scope: Scope, error: WebError) -> Response:
-    """The answer to a request that failed, with the reason."""
     reason = printable(safe_line(str(error)))
     headers = Headers(scope=scope)
     if "text/html" in headers.get("accept", "") and "hx-request" not in headers:

@@ -1,21 +1,51 @@
-"""The templates. All values are escaped, because names and tags come from untrusted files."""
+"""The templates: all values are escaped, because names and tags come from untrusted files. And the files of the
+pages: their address changes with them, so that a browser may keep them for ever."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
-from starlette.responses import HTMLResponse
+from starlette.responses import HTMLResponse, Response
+from starlette.staticfiles import StaticFiles
 
 from common.errors import counted, decimal, printable
 from common.versions import version_of
 from web.jobs.exports import LOG_EXPORTS, RUN_EXPORTS
-from web.server.static_files import STATIC
+
+KEPT: Final = {"Cache-Control": "private, max-age=31536000, immutable"}
+"""For answers whose address names their content."""
+FOLDER: Final = Path(__file__).parents[1] / "static"
+
+
+def _digest() -> str:
+    content = hashlib.sha256()
+    for path in sorted(FOLDER.rglob("*")):
+        if path.is_file():
+            content.update(f"{path.relative_to(FOLDER)}\0{path.stat().st_size}\0".encode())
+            content.update(path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+STATIC: Final = f"/static/{_digest()}"
+
+
+class PageFiles(StaticFiles):
+    def __init__(self) -> None:
+        super().__init__(directory=FOLDER)
+
+    def file_response(self, *arguments: Any, **named: Any) -> Response:
+        answer = super().file_response(*arguments, **named)
+        answer.headers.update(KEPT)
+        return answer
+
 
 PAGES: Final = (
     ("Drive", "/wheel"),
@@ -88,5 +118,4 @@ _environment.filters.update(
 
 
 def page(template: str, /, **values: Any) -> HTMLResponse:
-    """The answer of a template with these values."""
     return HTMLResponse(_environment.get_template(template).render(values))

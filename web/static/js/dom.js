@@ -3,7 +3,6 @@
 export const by = (id) => document.getElementById(id);
 export const number = (value) => value.toLocaleString("en");
 
-/** A new element with these properties and children. */
 export function make(kind, properties = {}, ...children) {
   const made = Object.assign(document.createElement(kind), properties);
   made.append(...children);

@@ -211,7 +211,6 @@ export class PointCloud {
     this.drawOver();
   }
 
-  /** The points within a polygon of pixels. */
   inside(outline) {
     const context = this.over.getContext("2d");
     const polygon = new Path2D();

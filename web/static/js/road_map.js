@@ -44,7 +44,6 @@ export class RoadMap {
     return `translate(${x},${-y}) rotate(${(-heading_rad * 180) / Math.PI}) scale(${this.size / 75})`;
   }
 
-  /** Add an element to the map, below the car. */
   add(name, attributes, parent = this.#svg) {
     const element = document.createElementNS(NAMESPACE, name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);

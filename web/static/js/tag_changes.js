@@ -9,7 +9,6 @@ const OPPOSITE = { add: "remove", remove: "add" };
 export const EXCLUDE = "exclude";
 export const FINE = "fine";
 
-/** Ask the server for a change of tags. Return what it has changed. */
 export async function changeTags(address, change) {
   const options = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(change) };
   return (await ask(address, options)).json();

@@ -68,5 +68,4 @@ export function colouringsOf(map) {
   return colourings;
 }
 
-/** The colours of a colouring for a canvas. */
 export const paletteOf = (colouring, element) => colouring.colours.map(colourReader(element));

@@ -163,7 +163,6 @@ function showGroups() {
   );
 }
 
-/** Tags have changed. */
 async function showTags() {
   if (!map.about) return; // it gets them with its points
   await map.loadTags();

@@ -57,7 +57,6 @@ export class PictureMap {
     await ask(`/map.stop?key=${this.key}`, { method: "POST" });
   }
 
-  /** Load the present tags. */
   async loadTags() {
     this.logs = (await (await ask(`/map.state?${this.query}`)).json()).logs;
   }
@@ -102,7 +101,6 @@ export class PictureMap {
     return { ...done, notice: problems.join("; ") };
   }
 
-  /** Points by log and row. */
   inOrder(points) {
     const { log, row } = this.columns;
     return [...points].sort((a, b) => log[a] - log[b] || row[a] - row[b]);
@@ -134,7 +132,6 @@ export class PictureMap {
     return `${log.at}/pictures/center/${this.columns.row[at]}?v=${log.version}`;
   }
 
-  /** The page of the log at this row. */
   page(at) {
     const run = this.run === "pixels" ? "" : `&run=${this.run}`;
     return `${this.logOf(at).at}#row=${this.columns.row[at]}${run}`;

@@ -91,7 +91,6 @@ function part(field, bytes) {
   return [...varint(BigInt((field << 3) | 2)), ...varint(BigInt(bytes.length)), ...bytes];
 }
 
-/** A field that holds a number. */
 function number(field, value) {
   return [...varint(BigInt(field << 3)), ...varint(BigInt.asUintN(64, value))];
 }

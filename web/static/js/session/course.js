@@ -17,7 +17,6 @@ export class Course {
     Object.assign(this, { data, columns: null, road: null, events: [], interventions: [], stretches: [] });
   }
 
-  /** The rows have changed. */
   update() {
     const { columns, state } = this.data;
     this.columns = columns;
@@ -89,7 +88,6 @@ export class DriverBand {
     curves.watch(() => this.draw());
   }
 
-  /** The course has changed: show names, shares and the band. */
   show() {
     const { shares } = this.course;
     this.figure.hidden = !shares.length;

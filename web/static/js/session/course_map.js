@@ -23,7 +23,6 @@ export class CourseMap {
     picture?.addEventListener("load", () => (this.hover.src = picture.src)); // already loaded
   }
 
-  /** The course has changed. */
   show() {
     const { course, map } = this;
     const { x_m: x, y_m: y } = course.columns;
@@ -103,7 +102,6 @@ export class CourseMap {
     this.map.add("text", { class: style, x, y, "font-size": this.map.size / 24 }).textContent = words;
   }
 
-  /** Show the car at a position. */
   move(position) {
     this.position = position;
     if (!this.placed?.length) return;

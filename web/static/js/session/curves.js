@@ -149,7 +149,6 @@ export class Curves {
     return positions;
   }
 
-  /** The round time that was reached at a position. */
   roundTime(at) {
     const seconds = Math.floor(this.data.columns.driven_s[at] / this.tickS + 1e-6) * this.tickS;
     return this.tickS < 1 ? clock(seconds) : clock(seconds).replace(/\.0$/, "");

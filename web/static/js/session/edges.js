@@ -8,7 +8,6 @@ const MIN_WIDTH = 16; // pixels of a stretch with handles
 const SIDES = ["first", "last"];
 
 export class Edges {
-  /** `onChange(stretches)`: an edge was dragged. */
   constructor(curves, { onChange }) {
     Object.assign(this, { curves, onChange, handles: new Map() });
     curves.watch(() => this.place());

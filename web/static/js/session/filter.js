@@ -19,7 +19,6 @@ export class Filter {
     by("where-clear").addEventListener("click", () => this.use(""));
   }
 
-  /** The rows have changed. */
   refresh() {
     this.#list(this.kind);
   }
@@ -34,7 +33,6 @@ export class Filter {
     Object.assign(this, { kind, condition: null, groups: this.#groupsOf(kind) });
   }
 
-  /** List the rows that meet a condition. */
   async find(condition) {
     try {
       const answer = await ask(`${this.data.address}/where?condition=${encodeURIComponent(condition)}`);

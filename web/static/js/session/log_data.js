@@ -119,7 +119,6 @@ export class LogData extends EventTarget {
     return isLast ? low - 1 : low;
   }
 
-  /** The rows of a stretch of positions. */
   rowsOf({ first, last }) {
     const rows = this.columns.row;
     return [Math.min(rows[first], rows[last]), Math.max(rows[first], rows[last])];

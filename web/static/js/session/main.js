@@ -164,7 +164,6 @@ function showRerun() {
   curves.resize();
 }
 
-/** Show the kinds of odd stretches, and the list. */
 function showOdd() {
   filter.show();
   const toDo = new Set(filter.toDo);

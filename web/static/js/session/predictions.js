@@ -15,7 +15,6 @@ export class Predictions {
     delete this.data.columns.predicted;
   }
 
-  /** Whether the network is still predicting. */
   get isWaiting() {
     return Boolean(this.run) && !this.about && !this.problem;
   }

@@ -42,7 +42,6 @@ export class RunTools {
     else this.curves.build();
   }
 
-  /** Show the prediction or its progress. */
   show() {
     const { predictions } = this;
     const { about } = predictions;

@@ -67,7 +67,6 @@ export class Selected {
     else this.select([]);
   }
 
-  /** Call `change` with the selected stretches. */
   take(change) {
     if (this.stretches.length) change(this.stretches);
     else showStatus(NONE);

@@ -27,7 +27,6 @@ async function find() {
   return { query: query(), stretches, problems };
 }
 
-/** The rows of stretches, by their logs. */
 function rowsByLog(stretches) {
   const logs = new Map();
   for (const { log, rows } of stretches) {

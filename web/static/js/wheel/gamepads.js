@@ -73,12 +73,7 @@ export class Gamepads {
   }
 
   #connected() {
-    let all = [];
-    try {
-      all = navigator.getGamepads();
-    } catch {
-      // not allowed here
-    }
+    const all = navigator.getGamepads?.() ?? []; // only at an encrypted or local address
     return new Map([...all].filter((pad) => pad?.connected).map((pad) => [pad.index, pad]));
   }
 

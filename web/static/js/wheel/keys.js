@@ -39,7 +39,6 @@ export class Keys {
     this.steering = this.throttle = 0;
   }
 
-  /** Time has passed. */
   advance(seconds) {
     const sides = new Set([...this.#held].map((code) => SIDES[code]));
     const pull = (less, more) => sides.has(more) - sides.has(less);

@@ -25,7 +25,6 @@ export class Link {
     return true;
   }
 
-  /** Close the socket for good. */
   close() {
     this.#isOver = true;
     this.#socket.close();

@@ -10,7 +10,7 @@ import { Keys } from "./keys.js";
 import { Link } from "./link.js";
 import { Panel, write } from "./panel.js";
 import { Picture } from "./picture.js";
-import { heldBefore, keepHeld, loadSettings, saveSetting } from "./settings.js";
+import { loadSettings, saveSetting } from "./settings.js";
 
 const SEND_MS = 100; // at most, between two controls
 const MAX_STEP_S = 0.1; // the steering does not jump after a pause
@@ -37,8 +37,7 @@ let sent_ms = -Infinity;
 let before_ms = performance.now();
 let event_ms = null; // time of the first event that is not sent yet
 let isHolder = false;
-let wasHolder = heldBefore(page.dataset.at); // its old connection may still hold the wheel for a moment
-if (wasHolder) hands.begin(); // it was driving before it was loaded again
+let wasHolder = false; // before the connection was lost
 let asksLeft = 0;
 let isAsked = false;
 let isFree = false; // nobody holds the wheel
@@ -50,7 +49,6 @@ const learners = document.querySelectorAll("[data-learns]");
 
 const link = new Link(`${page.dataset.at}/socket`, { onText: hear, onFrame: show, onChange: connected });
 
-/** The mouse or a finger is pressed, moved or released. */
 function touched(event) {
   event_ms ??= event.timeStamp;
   steer();
@@ -318,10 +316,7 @@ document.addEventListener("keydown", (event) => {
 document.addEventListener("keyup", (event) => Keys.drives(event.code) && turn(event, () => keys.up(event.code)));
 document.addEventListener("focusin", (event) => isTyping(event) && letGo());
 addEventListener("blur", letGo);
-addEventListener("pagehide", () => {
-  if (isHolder) keepHeld(page.dataset.at);
-  letGo();
-});
+addEventListener("pagehide", letGo);
 document.addEventListener("visibilitychange", () => document.hidden && letGo());
 for (const name of ["gamepadconnected", "gamepaddisconnected"]) {
   addEventListener(name, () => {

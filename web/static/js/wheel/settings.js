@@ -20,47 +20,15 @@ const DEFAULTS = {
 const BOUNDS = { hold_mph: [1, 100], dead_zone: [0, 0.9], curve: [1, 4], steer_axis: [0, 15], throttle_axis: [-1, 15], brake_axis: [-1, 15] };
 for (const name of Object.keys(DEFAULTS)) if (name.startsWith("button_")) BOUNDS[name] = [-1, 63];
 
-/** The settings, each a valid value. */
 export function loadSettings() {
-  let kept = {};
-  try {
-    kept = JSON.parse(localStorage.getItem(NAME)) ?? {};
-  } catch {
-    // no storage, or a foreign value: the defaults apply
-  }
+  const kept = JSON.parse(localStorage.getItem(NAME)) ?? {};
   return Object.fromEntries(Object.entries(DEFAULTS).map(([name, value]) => [name, valid(name, kept[name], value)]));
 }
 
 /** Change a setting. An invalid value changes nothing. */
 export function saveSetting(settings, name, value) {
   settings[name] = valid(name, value, settings[name]);
-  try {
-    localStorage.setItem(NAME, JSON.stringify(settings));
-  } catch {
-    // the setting lasts until the page is closed
-  }
-}
-
-const HELD = "wheel held";
-
-/** Remember that this tab holds the wheel of a drive: it may be reloaded. */
-export function keepHeld(drive) {
-  try {
-    sessionStorage.setItem(HELD, drive);
-  } catch {
-    // no storage: a reloaded page gets the wheel if it is free
-  }
-}
-
-/** Whether this tab held the wheel of a drive before it was reloaded. */
-export function heldBefore(drive) {
-  try {
-    const held = sessionStorage.getItem(HELD);
-    sessionStorage.removeItem(HELD);
-    return held === drive;
-  } catch {
-    return false;
-  }
+  localStorage.setItem(NAME, JSON.stringify(settings));
 }
 
 /** A value within its bounds; `fallback` for an invalid one. */
