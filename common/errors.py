@@ -109,7 +109,7 @@ class Skipped:
     A command that has skipped something prints `lines()` to stderr and ends with exit code 3.
     """
 
-    def __init__(self, on_added: Callable[[str, str], object] = lambda reason, name: None) -> None:
+    def __init__(self, on_added: Callable[[str, str], object] | None = None) -> None:
         """`on_added` is called with the reason and name of every item, also if the name is not kept."""
         self._on_added = on_added
         self._counts: Counter[str] = Counter()
@@ -121,7 +121,8 @@ class Skipped:
         name = printable(name)
         if self._counts[reason] <= MAX_KEPT_NAMES:
             self._kept.append((reason, name))
-        self._on_added(reason, name)
+        if self._on_added is not None:
+            self._on_added(reason, name)
 
     def __len__(self) -> int:
         return self._counts.total()

@@ -19,12 +19,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from common.errors import UsageError, UserError, printable
 from common.grpc_probe import speaks_grpc
 from common.output import print_message
-from common.tasks import Tasks
 from common.versions import TOOLKIT, install_line, version_of
 
 Result = TypeVar("Result")
@@ -63,6 +62,20 @@ class _Failed:
     error: Exception
 
 
+class ClusterTasks(Protocol):
+    """`common.tasks.Tasks` on a cluster."""
+
+    def __call__(
+        self,
+        function: Callable[..., Result],
+        calls: Sequence[tuple[Any, ...]],
+        while_waiting: Callable[[], object] | None = None,
+    ) -> Iterator[tuple[int, Result]]:
+        """`while_waiting` is called twice a second. With it, Ctrl-C raises KeyboardInterrupt in the calls, too,
+        and waits for their end: they may save what they have done. The second Ctrl-C does not wait.
+        """
+
+
 def address_of(flag: Sequence[str]) -> str:
     """The address in `--ray [ADDRESS]`; "" if Ray is to find the cluster. Raises UsageError if it is no
     address."""
@@ -77,9 +90,9 @@ def address_of(flag: Sequence[str]) -> str:
 
 
 @contextlib.contextmanager
-def cluster_tasks(address: str = "", gpus: int = 0) -> Iterator[Tasks]:
-    """Connect to a cluster, and yield the function that makes calls on the cluster. Each call has `gpus` GPUs
-    to itself.
+def cluster_tasks(address: str = "", gpus: int | None = 0, cpus: int = 1) -> Iterator[ClusterTasks]:
+    """Connect to a cluster, and yield the function that makes calls on the cluster. Each call has `cpus`
+    processor cores and `gpus` GPUs to itself; if `gpus` is None, one GPU if a node has one.
 
     `address` is one of
 
@@ -88,12 +101,23 @@ def cluster_tasks(address: str = "", gpus: int = 0) -> Iterator[Tasks]:
     - "local": start a cluster on this machine alone
     - "": RAY_ADDRESS, else "auto", else "local"
 
-    Raises ClusterError if no cluster answers, if the nodes have other versions of `SAME_VERSIONS`, or lack GPUs.
+    Raises ClusterError if no cluster answers, if the nodes have other versions of `SAME_VERSIONS`, or if no node
+    has so many cores or GPUs.
     """
     with _connection(address) as ray:
-        if gpus > ray.cluster_resources().get("GPU", 0):  # Ray would wait for ever
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        with_gpu = [node for node in nodes if node.get("GPU", 0) >= 1]
+        gpus = min(1, len(with_gpu)) if gpus is None else gpus
+        # for what no node has, Ray would wait for ever
+        if gpus and not with_gpu:
             raise ClusterError(f"--ray {address or 'auto'}: no node of the cluster has a GPU; give --device cpu")
-        yield partial(_results, ray, gpus)
+        most = int(max((node.get("CPU", 0) for node in (with_gpu if gpus else nodes)), default=0))
+        if 0 < most < cpus:  # 0: a cluster that adds nodes when there is work
+            raise ClusterError(
+                f"--ray {address or 'auto'}: no node of the cluster has {cpus} cores, for as many threads; give"
+                f" --threads {most}"
+            )
+        yield partial(_results, ray, cpus, gpus)
 
 
 @contextlib.contextmanager
@@ -191,10 +215,15 @@ def _why_not(address: str, error: str) -> str:
 
 
 def _results(
-    ray: Any, gpus: int, function: Callable[..., Result], calls: Sequence[tuple[Any, ...]]
+    ray: Any,
+    cpus: int,
+    gpus: int,
+    function: Callable[..., Result],
+    calls: Sequence[tuple[Any, ...]],
+    while_waiting: Callable[[], object] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     name = function.__name__.strip("_")
-    call = ray.remote(_call).options(num_cpus=1, num_gpus=gpus, max_retries=MAX_RETRIES, name=name)
+    call = ray.remote(_call).options(num_cpus=cpus, num_gpus=gpus, max_retries=MAX_RETRIES, name=name)
     versions, folder = package_versions(), Path.cwd()
     size = -(-len(calls) // _MAX_TASKS)
     firsts: dict[Any, int] = {}  # for each running task: the number of its first call
@@ -213,9 +242,17 @@ def _results(
                     if isinstance(result, _Failed):
                         raise result.error
                     yield number, result
+            if while_waiting is not None:
+                while_waiting()
+    except KeyboardInterrupt:
+        if while_waiting is not None:
+            for reference in firsts:
+                ray.cancel(reference)
+            ray.wait(list(firsts), num_returns=len(firsts))
+        raise
     finally:
         if firsts:  # Ctrl-C, or an error: the cluster ends the tasks of a driver that has left. `ray.cancel` is
-            ray.shutdown()  # not used: for a task that has just failed, Ray 2.60 may abort the process
+            ray.shutdown()  # not used here: for a task that has just failed, Ray 2.60 may abort the process
 
 
 def _get(ray: Any, reference: Any) -> list[Any]:

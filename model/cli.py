@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +19,7 @@ from common.location import Location
 from common.named_function import in_one_line, load_function
 from common.output import print_message, print_result
 from common.process_settings import use_large_pages
+from common.ray_flag import RayAddress
 from common.untrusted import real_path
 from common.verbs import Verb, run_verbs
 from model.config import TrainConfig
@@ -59,16 +62,17 @@ def train(config: Train) -> int:
     # first everything that can fail at once; building an index may take minutes
     like = find_any_run(config.like, places.runs) if config.like is not None else None
     init = init_of(like, places.runs) if like is not None else None
-    network = _try_network(settings, init, like)
+    network = _try_network(settings, init, like, config.ray)
     listeners = _listeners(config.progress, run, settings)
-    if config.on:
-        index, code = _index_on(config.on, run, places, settings.recipe)
-    elif like is not None:
-        index, code = _index_of_run(like, places)
-    else:
-        index, code = _index_of_folder(places, settings.recipe)
-    print_result(f"{run}: {network}")
-    return max(code, _train(index, run, settings, listeners, init=init, like=like))
+    with _trainer(config.ray, settings) as trainer:
+        if config.on:
+            index, code = _index_on(config.on, run, places, settings.recipe)
+        elif like is not None:
+            index, code = _index_of_run(like, places)
+        else:
+            index, code = _index_of_folder(places, settings.recipe)
+        print_result(f"{run}: {network}")
+        return max(code, _train(trainer, index, run, settings, listeners, init=init, like=like))
 
 
 def resume(config: Resume) -> int:
@@ -77,13 +81,14 @@ def resume(config: Resume) -> int:
 
     places, settings = config.places, config.config
     run = find_any_run(config.run, places.runs)
-    network = _try_resumed(settings, run)
+    network = _try_resumed(settings, run, config.ray)
     listeners = _listeners(config.progress, run, settings)
-    index, code = places.index_of(run), DONE
-    if not (index / SAMPLES_NAME).is_file():
-        index, code = _index_of_run(run, places)
-    print_result(f"{run}: {network}{_resumed_at(run, settings.epochs)}")
-    return max(code, _train(index, run, settings, listeners, resume=True))
+    with _trainer(config.ray, settings) as trainer:
+        index, code = places.index_of(run), DONE
+        if not (index / SAMPLES_NAME).is_file():
+            index, code = _index_of_run(run, places)
+        print_result(f"{run}: {network}{_resumed_at(run, settings.epochs)}")
+        return max(code, _train(trainer, index, run, settings, listeners, resume=True))
 
 
 def continue_run(config: Continue) -> int:
@@ -93,19 +98,33 @@ def continue_run(config: Continue) -> int:
         raise UsageError("--on, --takeovers: give one of them")
     places, settings = config.places, config.config
     run, init = _new_run(config.name, places.runs), find_run(config.run, places.runs)
-    network = _try_network(settings, init, None)
+    network = _try_network(settings, init, None, config.ray)
     listeners = _listeners(config.progress, run, settings)
-    if config.takeovers:
-        index, code = _index_with_takeovers(config, run, init)
-    elif config.on:
-        index, code = _index_on(config.on, run, places, settings.recipe)
-    else:
-        index, code = _index_of_folder(places, settings.recipe)
-    print_result(f"{run}: {network}")
-    return max(code, _train(index, run, settings, listeners, init=init))
+    with _trainer(config.ray, settings) as trainer:
+        if config.takeovers:
+            index, code = _index_with_takeovers(config, run, init)
+        elif config.on:
+            index, code = _index_on(config.on, run, places, settings.recipe)
+        else:
+            index, code = _index_of_folder(places, settings.recipe)
+        print_result(f"{run}: {network}")
+        return max(code, _train(trainer, index, run, settings, listeners, init=init))
+
+
+def _trainer(ray: RayAddress, settings: TrainConfig) -> AbstractContextManager[Callable[..., Trained]]:
+    """A context manager that yields `train`, or with --ray a function that trains on a cluster. It connects before
+    the index is built."""
+    if ray is None:
+        from model.training.trainer import train
+
+        return nullcontext(train)
+    from model.training.cluster_training import cluster_trainer
+
+    return cluster_trainer(ray, settings)
 
 
 def _train(
+    trainer: Callable[..., Trained],
     index: Path,
     run: Path,
     settings: TrainConfig,
@@ -117,10 +136,9 @@ def _train(
 ) -> int:
     """Train and print the outcome. Returns the exit code."""
     from model.errors import RunWriteError
-    from model.training.trainer import train
 
     try:
-        trained = train(index, run, settings, listeners, init=init, like=like, resume=resume)
+        trained = trainer(index, run, settings, listeners, init=init, like=like, resume=resume)
     except (KeyboardInterrupt, RunWriteError):
         if run.exists():
             print_message(f"bc-train: the run is kept; continue with `{_resume(run, index)}`")
@@ -128,8 +146,9 @@ def _train(
     return max([DONE, *map(warn_skipped, trained.skipped), _print_outcome(trained, settings)])
 
 
-def _try_network(settings: TrainConfig, init: Path | None, like: Path | None) -> str:
-    """Try the network on the device of the training. Returns the text of the first printed line.
+def _try_network(settings: TrainConfig, init: Path | None, like: Path | None, ray: RayAddress) -> str:
+    """Try the network on the device of the training; with --ray, on this machine's processor. Returns the text of
+    the first printed line.
 
     Raises RunError if the network or the device does not exist, or if the weights of `init` are of another
     network. `like` is a run whose arithmetic is repeated.
@@ -139,15 +158,16 @@ def _try_network(settings: TrainConfig, init: Path | None, like: Path | None) ->
     from model.runs.run_folder import load_config
     from model.training.trainer import refuse_other_network
 
-    machine = choose_machine(settings, load_config(like).get("machine") if like is not None else None)
+    begun = load_config(like).get("machine") if like is not None else None
+    machine = choose_machine(_tried_settings(settings, ray), begun)
     network = choose_network(settings)
     picture = chosen_picture(settings, network)
     if init is not None:
         refuse_other_network(init, network, picture, settings.targets)
-    return _tried(network, picture, machine, settings.epochs)
+    return _tried(network, picture, machine, settings.epochs, ray)
 
 
-def _try_resumed(settings: TrainConfig, run: Path) -> str:
+def _try_resumed(settings: TrainConfig, run: Path, ray: RayAddress) -> str:
     """`_try_network` for the network of a run that is resumed."""
     from model.device import choose_machine
     from model.network.own_code import load_code
@@ -155,15 +175,21 @@ def _try_resumed(settings: TrainConfig, run: Path) -> str:
     from model.runs.run_folder import load_config, picture_of_run
 
     stored = load_config(run)
-    machine = choose_machine(settings, stored.get("machine"))
+    machine = choose_machine(_tried_settings(settings, ray), stored.get("machine"))
     if is_own(settings.network):
         load_code(settings.network)
-    return _tried(choice_of(stored, run), picture_of_run(run), machine, settings.epochs)
+    return _tried(choice_of(stored, run), picture_of_run(run), machine, settings.epochs, ray)
 
 
-def _tried(network: NetworkChoice, picture: PictureSpec, machine: Machine, epochs: int) -> str:
+def _tried_settings(settings: TrainConfig, ray: RayAddress) -> TrainConfig:
+    return settings if ray is None else replace(settings, device="cpu")
+
+
+def _tried(network: NetworkChoice, picture: PictureSpec, machine: Machine, epochs: int, ray: RayAddress) -> str:
     parameters = network.try_out(picture, machine.device)
     where = f"{machine.arithmetic} on the {'GPU' if machine.device.type == 'cuda' else 'processor'}"
+    if ray is not None:
+        where = "on the cluster"
     name = "" if network.name == "original" else f"{printable(network.name)}, "
     passes = f"{counted(epochs, 'epoch')}, " if epochs else ""
     return f"{name}{parameters:,} parameters, {passes}{where}"

@@ -11,6 +11,7 @@ import tyro
 
 from common.errors import UsageError
 from common.location import local_path
+from common.ray_flag import RayAddress
 from common.recipe import recipe_given, value_given
 from common.verbs import Earlier, word_after_verb
 from model.config import TrainConfig
@@ -70,8 +71,8 @@ class Train:
     `bc-train resume --help` shows the flags of a verb.
     """
 
+    RARE: ClassVar[str] = "ray"
     REMOVED: ClassVar[Mapping[str, str]] = {
-        "--ray": "one training is one process; leave it out",
         "--copy-to": _COPY_TO,
         "--takeovers": "`bc-train continue RUN --takeovers LOG` adds a drive's takeovers to a run's samples",
     }
@@ -83,6 +84,8 @@ class Train:
     """Use this run's samples, and its settings except for flags that you give."""
     places: tyro.conf.OmitArgPrefixes[Places] = field(default_factory=Places)
     progress: tyro.conf.OmitArgPrefixes[ProgressFlags] = field(default_factory=ProgressFlags)
+    ray: RayAddress = None
+    """Train on a node of a Ray cluster with shared folders."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
@@ -94,11 +97,14 @@ class Resume:
     bc-train resume first --epochs 20
     """
 
+    RARE: ClassVar[str] = "ray"
     REMOVED: ClassVar[Mapping[str, str]] = {"--copy-to": _COPY_TO}
     run: _Run
     """The run, by name or folder."""
     places: tyro.conf.OmitArgPrefixes[Places] = field(default_factory=Places)
     progress: tyro.conf.OmitArgPrefixes[ProgressFlags] = field(default_factory=ProgressFlags)
+    ray: RayAddress = None
+    """Train on a node of a Ray cluster with shared folders."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
@@ -110,7 +116,7 @@ class Continue:
     bc-train continue first --takeovers drives/run.mcap
     """
 
-    RARE: ClassVar[str] = "drives"
+    RARE: ClassVar[str] = "drives ray"
     REMOVED: ClassVar[Mapping[str, str]] = {
         "--copy-to": _COPY_TO,
         "--like": "the network is that of RUN; give other settings as flags",
@@ -127,6 +133,8 @@ class Continue:
     """The drives that the earlier run learnt from."""
     places: tyro.conf.OmitArgPrefixes[Places] = field(default_factory=Places)
     progress: tyro.conf.OmitArgPrefixes[ProgressFlags] = field(default_factory=ProgressFlags)
+    ray: RayAddress = None
+    """Train on a node of a Ray cluster with shared folders."""
     config: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 

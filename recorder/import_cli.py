@@ -7,22 +7,34 @@ import math
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from common.command import flags_given, run_command, usage_errors
-from common.errors import UsageError
+from common.command import DONE, FAILED, flags_given, run_command, usage_errors, warn
+from common.errors import Skipped, UsageError, UserError, first_of
 from common.files import refuse_existing
+from common.interrupts import interrupting_signals
 from common.output import print_message
 from common.preview import preview
+from common.progress import track
+from common.ray_flag import RayAddress, tasks_of
+from common.tasks import Tasks, in_processes
 from recorder.errors import RecordingError
-from recorder.new_session import make_session, name_of_recording
+from recorder.new_session import (
+    make_session,
+    name_of_recording,
+    plain_name,
+    print_next_index,
+    print_recorded,
+)
 from recorder.sources.settings import ImportSettings
 
 if TYPE_CHECKING:
+    from recorder.log.session_car import Car
     from recorder.sources.clean import CleanRecording
     from recorder.sources.imported_rows import Imported
 
@@ -34,10 +46,11 @@ class Import:
 
     bc-import ~/beta_simulator/recording
     bc-import ~/mycar/data track
+    bc-import ~/recordings --all
     bc-import drive.mcap --image /camera/image/compressed --steering /cmd_vel.angular.z --steering-scale -1
     """
 
-    RARE: ClassVar[str] = "idle viewer"
+    RARE: ClassVar[str] = "idle viewer ray"
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """The folder or file of the recording."""
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = None
@@ -45,6 +58,10 @@ class Import:
     settings: tyro.conf.OmitArgPrefixes[ImportSettings] = field(default_factory=ImportSettings)
     car: Annotated[str | None, tyro.conf.arg(metavar="udacity|built-in|FILE.toml")] = None
     """The car: steering angle, wheelbase, unit of speed; by default Udacity's."""
+    all: bool = False
+    """Import every recording in the folder SOURCE."""
+    ray: RayAddress = None
+    """Import with --all on a Ray cluster with shared folders."""
     watch: bool = False
     """Follow a Udacity folder as it is written."""
     idle: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
@@ -59,6 +76,8 @@ class Import:
 
 def _import(config: Import) -> int:
     _check(config)
+    if config.all:
+        return _import_all(config)
     name = name_of_recording(config.source) if config.name is None else config.name
 
     def write(log: Path) -> Imported:
@@ -96,15 +115,89 @@ def _import_to(config: Import, log: Path) -> Imported:
         )
 
 
-def _print_summary(cleaned: CleanRecording) -> None:
-    """Print what was recognised, and ask what only the user can know: the flag answers in a second import."""
+def _import_all(config: Import) -> int:
+    """Import the recordings in a folder, several at the same time. Those that are there already are not replaced
+    without --force. Returns the exit code."""
+    from recorder.log.session_car import named_car
+    from recorder.sources.find_recording import recordings_in
+
+    sources: dict[Path, Path] = {}  # by log
+    for source in recordings_in(config.source):
+        parts = source.relative_to(config.source).parts
+        log = config.sessions / f"{plain_name('-'.join(parts)) if parts else name_of_recording(source)}.mcap"
+        if log in sources:
+            raise RecordingError(f"{source}: would get the name of {sources[log]}; import it alone, with a NAME")
+        sources[log] = source
+    if not sources:
+        raise RecordingError(f"{config.source}: no recording in it")
+    if kept := [] if config.force else [log for log in sources if log.exists()]:
+        print_message(
+            f"{config.sessions}: has {first_of([log.stem for log in kept])} already; --force replaces it"
+        )
+    car = None if config.car is None else named_car(config.car)
+    calls = [(source, log, config.settings, car) for log, source in sources.items() if log not in kept]
+    if not calls:
+        return DONE
+    codes, imported = [DONE], 0
+    places: AbstractContextManager[Tasks] = nullcontext(in_processes)
+    with places if config.ray is None else tasks_of(config.ray) as tasks:
+        results = tasks(_import_one, calls)
+        for _, (done, lines, skipped) in track(results, f"importing {config.source.name}", len(calls)):
+            for line in lines:
+                print_message(line)
+            codes += map(warn, skipped)
+            if done is not None:
+                print_recorded(done)
+                imported += 1
+    if not imported:
+        return FAILED
+    print_next_index(config.sessions)
+    return max(codes)
+
+
+def _import_one(
+    source: Path, log: Path, settings: ImportSettings, car: Car | None
+) -> tuple[Imported | None, list[str], list[str]]:
+    """In a process or on a node: import a recording. Returns what is in its log, a summary, and what was skipped:
+    perhaps the whole recording."""
+    from recorder.sources.import_recording import import_recording
+
+    lines: list[str] = []
+    try:
+        with interrupting_signals():
+            # for a call that is repeated because its node died, the log may exist
+            done = import_recording(
+                source,
+                log,
+                settings,
+                car=car,
+                overwrite=True,
+                on_read=lambda cleaned: lines.extend(_summary(cleaned)),
+                show_progress=False,
+            )
+    except UserError as error:
+        return None, lines, [str(error)]
+    skipped = [f"{source}: skipped {line}" for line in done.skipped.lines()]
+    return replace(done, skipped=Skipped()), [*lines, *(f"{source}: {text}" for text in done.questions)], skipped
+
+
+def _summary(cleaned: CleanRecording) -> list[str]:
+    """What was recognised; empty if no row can be used, because the error says it."""
     from recorder.sources.find_recording import FORMAT_NAMES
-    from recorder.sources.imported_rows import AFTER_QUESTIONS
 
     recording = cleaned.recording
     if all(row.problem for row in cleaned.rows):
-        return  # the error says it
-    print_message(f"{recording.path}: {FORMAT_NAMES[recording.metadata['source']]}, {cleaned.summary()}")
+        return []
+    return [f"{recording.path}: {FORMAT_NAMES[recording.metadata['source']]}, {cleaned.summary()}"]
+
+
+def _print_summary(cleaned: CleanRecording) -> None:
+    """Print what was recognised, and ask what only the user can know: the flag answers in a second import."""
+    from recorder.sources.imported_rows import AFTER_QUESTIONS
+
+    if not (lines := _summary(cleaned)):
+        return
+    print_message(*lines)
     for question in cleaned.questions:
         print_message(question, style="yellow")
     if cleaned.questions:
@@ -115,6 +208,10 @@ def _check(config: Import) -> None:
     from recorder.sources.settings import check_rate
 
     settings = config.settings
+    if config.all and (config.name is not None or config.watch):
+        raise UsageError("--all: without NAME and --watch; sessions get the names of their recordings")
+    if config.ray is not None and not config.all:
+        raise UsageError("--ray: only with --all; one recording is imported by one machine")
     if not config.watch and (flags := flags_given(config, "idle", "viewer")):
         raise UsageError(f"{flags}: only with --watch")
     unused = (flag.name for flag in fields(settings) if flag.name != "rate")

@@ -29,12 +29,16 @@ def make_session(folder: Path, name: str, write: Callable[[Path], Imported]) -> 
     done = write(folder / f"{name}.mcap")
     code = warn_skipped(done.skipped)
     for recorded in (done, *done.others):
-        _print_recorded(recorded)
-    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
+        print_recorded(recorded)
+    print_next_index(folder)
     return code
 
 
-def _print_recorded(done: Imported) -> None:
+def print_next_index(folder: Path) -> None:
+    print_next(f"bc-index --sessions {shlex.quote(str(folder))}" if folder != Path("sessions") else "bc-index")
+
+
+def print_recorded(done: Imported) -> None:
     from recorder.rows.odd_stretches import odd_advice, odd_lines  # NumPy, Arrow
     from recorder.upkeep.log_info import describe
 

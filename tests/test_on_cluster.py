@@ -7,6 +7,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import signal
 import socket
 import subprocess
 import sysconfig
@@ -39,10 +41,12 @@ from drive.evaluation.closed_loop import BuiltInSimulator, drive_runs
 from recorder.upkeep.check import check
 from tests.helpers.bucket import serving_bucket
 from tests.helpers.clusters import ray_cluster
-from tests.helpers.driving import one_line_of, run_alone, run_code, untrained_run
+from tests.helpers.driving import Process, command, one_line_of, run_alone, run_code, untrained_run
 from tests.helpers.logs import not_a_picture, write_log
 from tests.helpers.ports import free_ports
 from tests.helpers.repository import ROOT
+from tests.helpers.toy import toy_index
+from tests.helpers.udacity import make_recording, paths
 from tests.helpers.waiting import wait_until
 
 
@@ -177,6 +181,76 @@ def test_a_node_that_dies_in_the_middle_costs_nothing_of_the_drives(tmp_path: Pa
     assert len(list((tmp_path / "there").iterdir())) == 2
 
 
+def test_recordings_are_imported_to_the_same_sessions(tmp_path: Path, small_cluster: Any) -> None:
+    for number, name in enumerate(("monday", "tuesday")):
+        rows = "".join(f"{paths(row)},0.{number},0.5,0,9\n" for row in range(3))
+        make_recording(tmp_path / "theirs/drives" / name, rows)
+    make_recording(tmp_path / "theirs/empty", "")
+    local = run_alone("bc-import", "theirs", "--all", "--sessions", "here", cwd=tmp_path)
+    cluster = ("--ray", small_cluster.address)
+    remote = run_alone("bc-import", "theirs", "--all", "--sessions", "there", *cluster, cwd=tmp_path)
+    assert (local.returncode, remote.returncode) == (3, 3), remote.stderr
+    expected = [line.replace("sessions here", "sessions there") for line in messages(local.stderr)]
+    assert sorted(messages(remote.stderr)) == sorted(expected)
+    assert "theirs/empty/driving_log.csv: " in remote.stderr
+    assert sorted(remote.stdout.splitlines()) == sorted(local.stdout.replace("here", "there").splitlines())
+    logs = [
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()} for folder in ("here", "there")
+    ]
+    assert logs[0] == logs[1]
+    assert sorted(logs[0]) == ["drives-monday.mcap", "drives-tuesday.mcap"]
+
+
+TRAINING = ("--network", "small", "--batch", 4, "--precision", "float32", "--index", "index")
+
+
+def epoch_lines(stdout: str) -> list[str]:
+    return re.findall(r"^epoch +\d+: .*correlation [\d.-]+", stdout, re.MULTILINE)
+
+
+def weights(run: Path) -> list[bytes]:
+    return [(run / name).read_bytes() for name in ("model.safetensors", "last/checkpoint.safetensors")]
+
+
+def started_training(cluster: Any, folder: Path, epochs: int) -> Process:
+    """`bc-train --name there --ray`, which has learnt an epoch."""
+    toy_index(folder)
+    flags = ("--name", "there", *TRAINING, "--epochs", epochs, "--ray", cluster.address)
+    training = Process(command("bc-train", *flags), cwd=folder)
+    metrics = folder / "runs/there/metrics.jsonl"
+    wait_until(lambda: metrics.exists() or training.popen.poll() is not None)
+    return training
+
+
+def test_a_training_that_ctrl_c_stopped_resumes_to_the_same_weights(tmp_path: Path, small_cluster: Any) -> None:
+    with started_training(small_cluster, tmp_path, epochs=2000) as training:
+        assert training.end(signal.SIGINT) == 130, training.stderr
+    assert training.stderr[-2].endswith("bc-train resume there`")
+    assert training.stderr[-1] == "bc-train: stopped"
+    learnt = epoch_lines(training.stdout)
+    assert len(learnt) == len((tmp_path / "runs/there/metrics.jsonl").read_text().splitlines())
+    epochs = ("--epochs", len(learnt) + 1)
+    resumed = run_alone("bc-train", "resume", "there", *epochs, "--ray", small_cluster.address, cwd=tmp_path)
+    local = run_alone("bc-train", "--name", "here", *TRAINING, *epochs, cwd=tmp_path)
+    assert (resumed.returncode, local.returncode) == (0, 0), resumed.stderr
+    assert [*learnt, *epoch_lines(resumed.stdout)] == epoch_lines(local.stdout)
+    assert weights(tmp_path / "runs/there") == weights(tmp_path / "runs/here")
+
+
+@pytest.mark.long
+def test_a_node_that_dies_in_the_middle_costs_nothing_of_a_training(tmp_path: Path) -> None:
+    epochs = 30
+    with ray_cluster(nodes=0) as cluster:
+        dying = cluster.add_node(num_cpus=1, include_dashboard=False)
+        with started_training(cluster, tmp_path, epochs) as training:
+            cluster.remove_node(dying, allow_graceful=False)
+            cluster.add_node(num_cpus=1, include_dashboard=False)
+            assert training.join() == 0, training.stderr
+    local = run_alone("bc-train", "--name", "here", *TRAINING, "--epochs", epochs, cwd=tmp_path)
+    assert epoch_lines(training.stdout) == epoch_lines(local.stdout)
+    assert weights(tmp_path / "runs/there") == weights(tmp_path / "runs/here")
+
+
 def test_a_cluster_of_another_version_is_reported(tmp_path: Path, small_cluster: Any) -> None:
     drives(tmp_path / "sessions", sessions=1)
     arguments = ["bc-index", "--ray", small_cluster.address]
@@ -204,7 +278,7 @@ def test_calls_in_shared_tasks_have_their_results_and_one_error(cluster: Any) ->
     assert halves == {number: number for number in range(4_001)}
 
 
-def test_calls_for_a_gpu_have_one_each_or_are_refused(cluster: Any) -> None:
+def test_calls_have_the_cores_and_gpus_that_they_need_or_are_refused(cluster: Any) -> None:
     def assigned_gpus() -> list[str]:
         import ray
 
@@ -214,10 +288,15 @@ def test_calls_for_a_gpu_have_one_each_or_are_refused(cluster: Any) -> None:
     no_gpu = pytest.raises(ClusterError, match="no node of the cluster has a GPU; give --device cpu")
     with no_gpu, cluster_tasks(cluster.address, gpus=1):
         pass
+    too_few = pytest.raises(ClusterError, match=r"no node of the cluster has 2 cores, .* give --threads 1")
+    with too_few, cluster_tasks(cluster.address, gpus=None, cpus=2):
+        pass
     node = cluster.add_node(num_cpus=2, num_gpus=1, include_dashboard=False)
     try:
         with cluster_tasks(cluster.address, gpus=1) as tasks:
             assert dict(tasks(assigned_gpus, [(), ()])) == {0: ["0"], 1: ["0"]}
+        with cluster_tasks(cluster.address, gpus=None, cpus=2) as tasks:  # one, if there is one
+            assert dict(tasks(assigned_gpus, [()])) == {0: ["0"]}
         with cluster_tasks(cluster.address) as tasks:
             assert dict(tasks(assigned_gpus, [()])) == {0: []}
     finally:

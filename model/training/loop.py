@@ -186,7 +186,7 @@ class TrainingLoop:
         sums = _EpochSums(start, self.machine.device)
         interval = max(STEP_BATCHES, math.ceil(loader.batches / MAX_EPOCH_STEPS))
         begun_s = reported_s = time.perf_counter()
-        name, note = f"training (epoch {start.epoch:,}/{self.config.epochs:,})", ""
+        name, note = training_title(start.epoch, self.config.epochs), ""
         total = len(loader) * self.config.epochs
         with progress_task(self.bar, name, total, self._samples_learnt()) as advance:
             batches = self.batches.epoch(start.epoch, start.batch)
@@ -230,7 +230,7 @@ class TrainingLoop:
         step = Step(position.epoch, position.batch, self.loader.batches, self._samples_learnt(), loss, rate)
         self.writer.add_step(step)
         self.listeners.step(step)
-        return f"loss {loss:.4f}  {rate:,.0f} samples/s"
+        return step_note(step)
 
     def _end_epoch(self) -> None:
         if not self.position.samples:
@@ -309,6 +309,16 @@ class TrainingLoop:
             f"{self.run}: the loss is no longer finite in epoch {epoch}; {kept}"
             f" with a --rate smaller than {rate:g}"
         )
+
+
+def training_title(epoch: int, epochs: int) -> str:
+    """The text before the progress bar."""
+    return f"training (epoch {epoch:,}/{epochs:,})"
+
+
+def step_note(step: Step) -> str:
+    """The text after the progress bar."""
+    return f"loss {step.training_loss:.4f}  {step.samples_per_s:,.0f} samples/s"
 
 
 class _EpochSums:

@@ -35,6 +35,7 @@ def import_recording(
     car: Car | None = None,
     overwrite: bool = False,
     on_read: Callable[[CleanRecording], None] = lambda cleaned: None,
+    show_progress: bool = True,
 ) -> Imported:
     """Import a recording to `log`: its pictures byte for byte, those of videos encoded anew.
 
@@ -50,11 +51,13 @@ def import_recording(
     with recording.opened:
         cleaned = clean(recording, settings)
         on_read(cleaned)
-        rows = track(rows_to_write(cleaned, events), f"importing {source.name}", len(cleaned.rows))
+        rows = iter(rows_to_write(cleaned, events))
+        if show_progress:
+            rows = track(rows, f"importing {source.name}", len(cleaned.rows))
         done = write_log(
             log,
             cleaned.metadata,
-            iter(rows),
+            rows,
             events,
             recording.without_rows,
             warnings=recording.warnings,
