@@ -71,7 +71,15 @@ def _publish_all(stage: Path, index: Path) -> None:
 
 @contextlib.contextmanager
 def build_lock(index: Path) -> Iterator[None]:
+    """Lock the index during a build. A new folder is removed if the build fails and leaves nothing in it."""
+    is_new, path = not index.exists(), index / ".lock"
     index.mkdir(parents=True, exist_ok=True)
-    with (index / ".lock").open("ab") as stream:
-        lock(stream)
-        yield
+    try:
+        with path.open("ab") as stream:
+            lock(stream)
+            yield
+    finally:
+        if is_new and not (index / SAMPLES_NAME).exists():
+            with contextlib.suppress(OSError):
+                path.unlink()
+                index.rmdir()
