@@ -54,7 +54,7 @@ def test_it_drives_episodes_and_logs_them(capsys: pytest.CaptureFixture[str]) ->
         assert log.metadata["simulator"] == "tests.helpers.toy_environment:toy/Bar-v0"
         events = Counter(event.message for _, event in log.decoded("/events"))
     assert len(sent) == 2 * STEPS
-    assert events["pictures of 64x48 pixels, not 320x160: used nevertheless"] == 1
+    assert events["pictures of 64x48 pixels, not 320x160: used nevertheless"] == 2  # once an episode
     # What was sent is what the environment's car did when the next picture was taken.
     for start in (0, STEPS):
         assert driven[start] == 0.0
