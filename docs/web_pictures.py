@@ -141,6 +141,8 @@ def in_rerun(shown: Shown) -> None:
             page.keyboard.press(key)
         page.wait_for_selector("#rerun[data-shown]")
         page.wait_for_timeout(20_000)  # nothing shows when all views are drawn
+        # away from the strip at the foot: where that covers the viewer, Chromium's software leaves its top blank
+        page.locator("#rerun iframe").evaluate("viewer => viewer.scrollIntoView({ block: 'center' })")
         shown.keep(page, "session-rerun")
 
 
