@@ -155,6 +155,7 @@ class SqliteFile:
             address = f"{self.path.absolute().as_uri()}?mode=ro&immutable=1"
             # An iterator that was left early is closed by whichever thread collects garbage.
             with closing(sqlite3.connect(address, uri=True, check_same_thread=False)) as database:
+                self.opened.callback(database.close)  # also after an error that keeps an iterator alive
                 # The file may define views that never end, and triggers: none may run.
                 database.execute("PRAGMA trusted_schema = OFF")
                 database.execute("PRAGMA query_only = ON")
