@@ -7,7 +7,6 @@ import math
 import shlex
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -22,7 +21,7 @@ from common.output import print_message
 from common.preview import preview
 from common.progress import track
 from common.ray_flag import RayAddress, tasks_of
-from common.tasks import Tasks, in_processes
+from common.tasks import in_processes
 from recorder.errors import RecordingError
 from recorder.new_session import (
     make_session,
@@ -135,12 +134,12 @@ def _import_all(config: Import) -> int:
             f"{config.sessions}: has {first_of([log.stem for log in kept])} already; --force replaces it"
         )
     car = None if config.car is None else named_car(config.car)
-    calls = [(source, log, config.settings, car) for log, source in sources.items() if log not in kept]
+    overwrite = config.force or config.ray is not None  # of a call that a cluster makes again, the log may exist
+    calls = [(source, log, config.settings, car, overwrite) for log, source in sources.items() if log not in kept]
     if not calls:
         return DONE
     codes, imported = [DONE], 0
-    places: AbstractContextManager[Tasks] = nullcontext(in_processes)
-    with places if config.ray is None else tasks_of(config.ray) as tasks:
+    with tasks_of(config.ray, here=in_processes) as tasks:
         results = tasks(_import_one, calls)
         for _, (done, lines, skipped) in track(results, f"importing {config.source.name}", len(calls)):
             for line in lines:
@@ -156,7 +155,7 @@ def _import_all(config: Import) -> int:
 
 
 def _import_one(
-    source: Path, log: Path, settings: ImportSettings, car: Car | None
+    source: Path, log: Path, settings: ImportSettings, car: Car | None, overwrite: bool
 ) -> tuple[Imported | None, list[str], list[str]]:
     """In a process or on a node: import a recording. Returns what is in its log, a summary, and what was skipped:
     perhaps the whole recording."""
@@ -165,13 +164,12 @@ def _import_one(
     lines: list[str] = []
     try:
         with interrupting_signals():
-            # for a call that is repeated because its node died, the log may exist
             done = import_recording(
                 source,
                 log,
                 settings,
                 car=car,
-                overwrite=True,
+                overwrite=overwrite,
                 on_read=lambda cleaned: lines.extend(_summary(cleaned)),
                 show_progress=False,
             )

@@ -64,11 +64,6 @@ def read_epochs(run: Path) -> tuple[Epoch, ...]:
     return _read(run / METRICS_FILE, parse_epoch, lambda epoch: epoch.epoch, Skipped())
 
 
-def read_steps(run: Path) -> tuple[Step, ...]:
-    """The steps of a training until now, without broken lines. Raises RunError as `read_history` does."""
-    return _read(run / STEPS_FILE, parse_step, lambda step: step.samples, Skipped())
-
-
 def _read(
     path: Path, parse: Callable[[bytes], Line], order: Callable[[Line], int], skipped: Skipped
 ) -> tuple[Line, ...]:

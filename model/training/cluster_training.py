@@ -21,7 +21,7 @@ from model.errors import RunError
 from model.network.names import is_own
 from model.network.own_code import load_code
 from model.runs.checkpoint import Position, read_position
-from model.runs.history import read_epochs, read_steps
+from model.runs.history import read_history
 from model.runs.provenance import training_of
 from model.runs.run_folder import CONFIG, has_nothing_saved, load_config
 from model.runs.training_progress import Epoch, Listener, Step
@@ -101,8 +101,8 @@ class _Follower:
         with contextlib.suppress(RunError):
             if not self._has_begun():
                 return
-            epochs = read_epochs(self._run)  # first: a training writes the steps of an epoch before it
-            events: list[Step | Epoch] = [*read_steps(self._run), *epochs]
+            history, _ = read_history(self._run)
+            events: list[Step | Epoch] = [*history.steps, *history.epochs]
             for event in sorted(events, key=_place):
                 if _place(event) > self._last:
                     self._last = _place(event)
